@@ -1,0 +1,1 @@
+"""Finite-state controllers: one E-step, several M-steps, schedules and explorations."""

@@ -1,0 +1,134 @@
+"""Finite-state controllers: policies with memory (dissertation, chapters 2, 4 and 6).
+
+Glossary: Z nodes, A actions, O observations of one agent (for the tabular environments the last
+one is the null observation that `reset` returns), n copies of an environment.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from bnprl_agents.episodes import FloatArray, IntArray
+
+
+@dataclass(frozen=True, eq=False)
+class Controller:
+    """A stochastic finite-state controller of one agent; Definition 2.42 of the dissertation.
+
+    Its node is never sampled: acting filters the distribution over nodes, so that the controller
+    is a map from histories to action distributions (the regionalized policy representation).
+
+    Attributes:
+        initial: (O, Z) node distribution after each possible first observation. One row, (1, Z),
+            stands for all of them.
+        action: (Z, A) action distribution of each node, pi.
+        successor: (A, O, Z, Z) node distribution after taking a in z and then seeing o, W.
+
+    Raises:
+        ValueError: shapes disagree or an entry is negative or not finite. Rows need not sum to 1:
+            the E-step also takes the under-normalised parameters of variational Bayes.
+    """
+
+    initial: FloatArray
+    action: FloatArray
+    successor: FloatArray
+
+    def __post_init__(self) -> None:
+        action = _table("action", self.action, 2)
+        successor = _table("successor", self.successor, 4)
+        initial = _table("initial", self.initial, 2)
+        n_nodes, n_actions = action.shape
+        if successor.shape != (n_actions, successor.shape[1], n_nodes, n_nodes):
+            raise ValueError(
+                f"successor: shape {successor.shape}, must be "
+                f"({n_actions}, O, {n_nodes}, {n_nodes})"
+            )
+        if initial.shape[0] == 1:
+            initial = np.repeat(initial, successor.shape[1], axis=0)
+        if initial.shape != (successor.shape[1], n_nodes):
+            raise ValueError(
+                f"initial: shape {initial.shape}, must be ({successor.shape[1]}, {n_nodes})"
+            )
+        for name, table in (("initial", initial), ("action", action), ("successor", successor)):
+            object.__setattr__(self, name, table)
+
+    @property
+    def n_nodes(self) -> int:
+        """Z."""
+        return int(self.action.shape[0])
+
+    @property
+    def n_actions(self) -> int:
+        """A."""
+        return int(self.action.shape[1])
+
+    @property
+    def n_observations(self) -> int:
+        """O, every value of the observation space."""
+        return int(self.successor.shape[1])
+
+    def begin(self, observation: IntArray) -> FloatArray:
+        """Node distributions (n, Z) after the first observations (n,)."""
+        return normalised(self.initial[observation])
+
+    def action_probabilities(self, belief: FloatArray) -> FloatArray:
+        """p(a | h) for node distributions (n, Z): (n, A)."""
+        return normalised(belief @ self.action)
+
+    def advance(self, belief: FloatArray, action: IntArray, observation: IntArray) -> FloatArray:
+        """Filter node distributions (n, Z) by actions (n,) and the observations (n,) after them.
+
+        f'(j) is proportional to sum_i f(i) action[i, a] successor[a, o, i, j]. A history that the
+        controller cannot produce (all mass 0) gives the uniform distribution.
+        """
+        weighted = belief * self.action[:, action].T
+        return normalised(np.einsum("ni,nij->nj", weighted, self.successor[action, observation]))
+
+
+def normalised(rows: FloatArray) -> FloatArray:
+    """Divide by the sum over the last axis; a row of zeros becomes uniform."""
+    total = rows.sum(axis=-1, keepdims=True)
+    positive = total > 0.0
+    shares: FloatArray = np.where(positive, rows, 1.0) / np.where(positive, total, rows.shape[-1])
+    return shares
+
+
+def random_controller(
+    n_nodes: int,
+    n_actions: int,
+    n_observations: int,
+    rng: np.random.Generator,
+    concentration: float = 1.0,
+) -> Controller:
+    """Draw every row from a symmetric Dirichlet distribution.
+
+    Args:
+        n_nodes: Z.
+        n_actions: A.
+        n_observations: O.
+        rng: source of the draws.
+        concentration: parameter of the Dirichlet; 1 is uniform over the simplex, small values
+            give nearly deterministic rows.
+    """
+
+    def rows(*shape: int) -> FloatArray:
+        gamma = rng.gamma(concentration, size=shape)
+        return normalised(np.maximum(gamma, np.finfo(np.float64).tiny))
+
+    return Controller(
+        initial=rows(n_observations, n_nodes),
+        action=rows(n_nodes, n_actions),
+        successor=rows(n_actions, n_observations, n_nodes, n_nodes),
+    )
+
+
+def _table(name: str, table: npt.ArrayLike, ndim: int) -> FloatArray:
+    array = np.ascontiguousarray(table, dtype=np.float64)
+    if array.ndim != ndim or 0 in array.shape:
+        raise ValueError(f"{name}: shape {array.shape}, must have {ndim} axes, none empty")
+    if not np.isfinite(array).all() or (array < 0.0).any():
+        raise ValueError(f"{name}: holds a negative or non-finite entry, must be probabilities")
+    return array

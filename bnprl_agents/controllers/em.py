@@ -1,0 +1,152 @@
+"""Batch nested EM for controllers, chapter 4.2 and section 6.2.1."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from bnprl_agents.agent import Metrics
+from bnprl_agents.controllers.controller import Controller
+from bnprl_agents.controllers.learner import ControllerAgent, shifted
+from bnprl_agents.controllers.messages import (
+    Counts,
+    Messages,
+    backward,
+    forward,
+    reward_shares,
+)
+from bnprl_agents.episodes import EpisodeBatch, FloatArray
+
+MStep = Callable[[int, Counts, Controller], Controller]
+"""(agent, its counts, its controller) -> its new controller."""
+
+
+def maximise(counts: Counts, controller: Controller) -> Controller:
+    """M-step (4.8): normalised counts; a row without evidence keeps its old distribution."""
+
+    def rows(count: FloatArray, old: FloatArray) -> FloatArray:
+        total = count.sum(axis=-1, keepdims=True)
+        seen = total > 0.0
+        return np.where(seen, count / np.where(seen, total, 1.0), old)
+
+    return Controller(
+        initial=rows(counts.initial, controller.initial),
+        action=rows(counts.action, controller.action),
+        successor=rows(counts.successor, controller.successor),
+    )
+
+
+def inner_em(
+    episodes: EpisodeBatch,
+    controllers: Sequence[Controller],
+    messages: Sequence[Messages],
+    weights: FloatArray,
+    iterations: int,
+    m_step: MStep,
+) -> tuple[tuple[Controller, ...], tuple[Counts, ...]]:
+    """Improve every agent's controller for fixed reward weights (S,): the inner loop of Theorem 5.
+
+    Args:
+        episodes: K episodes.
+        controllers: one for each agent.
+        messages: their forward messages.
+        weights: (S,) recomputed rewards, on any scale.
+        iterations: inner EM iterations, at least 1.
+        m_step: turns counts into a controller.
+
+    Returns:
+        The new controllers, and the counts of the last E-step.
+    """
+    improved, evidence = [], []
+    for n, (controller, message) in enumerate(zip(controllers, messages, strict=True)):
+        counts = backward(episodes, n, controller, message, weights)
+        controller = m_step(n, counts, controller)
+        for _ in range(iterations - 1):
+            message = forward(episodes, n, controller)
+            counts = backward(episodes, n, controller, message, weights)
+            controller = m_step(n, counts, controller)
+        improved.append(controller)
+        evidence.append(counts)
+    return tuple(improved), tuple(evidence)
+
+
+@dataclass(frozen=True)
+class BatchEMConfig:
+    """Settings of `BatchEM`. The source leaves K and the iteration counts open."""
+
+    nodes: int = 20
+    """Nodes of every controller."""
+    batch_episodes: int = 500
+    """Episodes collected under the current policy for one update, then discarded."""
+    outer_iterations: int = 1
+    """Recomputations of the rewards on one batch; more than one re-uses it off-policy."""
+    inner_iterations: int = 2
+    """EM iterations for each recomputation of the rewards."""
+    exploration_prior: float = 2.0
+    """u1 of the Beta distribution from which a node's exploitation is drawn; larger explores."""
+    reward_shift: float = 0.0
+    """Added to every reward; the sum must not be negative. A terminal state earns it for ever."""
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+
+def check_settings(config: Any) -> None:
+    """Check what the EM learners' settings have in common.
+
+    Raises:
+        ValueError: names the setting, what it was and what is allowed.
+    """
+    for name in ("nodes", "batch_episodes", "outer_iterations", "inner_iterations"):
+        if getattr(config, name) < 1:
+            raise ValueError(f"{name}: {getattr(config, name)}, must be at least 1")
+    if not config.exploration_prior > 0.0:
+        raise ValueError(f"exploration_prior: {config.exploration_prior}, must be positive")
+    if not np.isfinite(config.reward_shift):
+        raise ValueError(f"reward_shift: {config.reward_shift}, must be finite")
+
+
+class BatchEM(ControllerAgent):
+    """Nested EM on batches of on-policy episodes; one controller for each agent.
+
+    Each update collects `batch_episodes` under the current policy with node-wise exploration,
+    recomputes the rewards (outer loop) and improves the controllers by EM (inner loop).
+
+    Paper: Li, Liao and Carin, Multi-task reinforcement learning in partially observable stochastic
+    environments, JMLR 10, 2009; dissertation, Theorem 5 and section 6.2.1.
+    """
+
+    Config = BatchEMConfig
+    config: BatchEMConfig
+
+    @property
+    def batch_episodes(self) -> int:
+        """Episodes that one update wants."""
+        return self.config.batch_episodes
+
+    def learn(self, episodes: EpisodeBatch) -> Metrics:
+        """Run nested EM on the batch; returns its value, mean return and exploration."""
+        data = shifted(episodes, self.config.reward_shift, self.discount)
+        value, exploring = 0.0, 0.0
+        for outer in range(self.config.outer_iterations):
+            messages = [forward(data, n, c) for n, c in enumerate(self.controllers)]
+            current, nu = reward_shares(data, [m.likelihood for m in messages], self.discount)
+            if outer == 0:
+                value, exploring = current, self.exploring_share(messages)
+            self.controllers, counts = inner_em(
+                data,
+                self.controllers,
+                messages,
+                nu,
+                self.config.inner_iterations,
+                lambda n, count, controller: maximise(count, controller),
+            )
+        self.set_exploration([count.action.sum(axis=1) for count in counts])
+        return {
+            "value": value,
+            "return_mean": float(episodes.returns(self.discount).mean()),
+            "exploring": exploring,
+        }

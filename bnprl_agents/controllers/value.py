@@ -1,0 +1,145 @@
+"""The exact value of controllers on a known model: one linear system, (2.24) and (2.35)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import reduce
+from typing import NamedTuple
+
+import numpy as np
+from scipy.sparse import csc_array, csr_array
+from scipy.sparse.linalg import LinearOperator, gmres
+
+from bnprl_agents.controllers.controller import Controller
+from bnprl_agents.controllers.rollout import check_fit
+from bnprl_agents.episodes import FloatArray
+from bnprl_envs.model import TabularModel
+
+TOLERANCE = 1e-10
+"""Relative residual of the linear system; the value's error is below it over 1 - discount."""
+
+
+def controller_value(
+    model: TabularModel, controllers: Controller | Sequence[Controller], discount: float
+) -> float:
+    """Expected discounted return of the controllers over an infinite horizon, exactly.
+
+    V(s, z) = sum_a pi(z, a) [r(s, a) + gamma sum_{s', o, z'} T O W V(s', z')], where z holds one
+    node an agent; solved by GMRES without forming the matrix, so that it costs
+    O(A O S Z^2) an iteration and O(S prod Z) memory.
+
+    Args:
+        model: the true model of N agents.
+        controllers: one for each agent; a single one is a team of one.
+        discount: factor in (0, 1).
+
+    Raises:
+        ValueError: the controllers do not fit the model, their rows do not sum to 1, or the
+            discount lies outside (0, 1).
+        ArithmeticError: the solver did not reach `TOLERANCE`.
+    """
+    team = (controllers,) if isinstance(controllers, Controller) else tuple(controllers)
+    check_fit(model, team)
+    for n, controller in enumerate(team):
+        _check_normalised(n, controller)
+    if not 0.0 < discount < 1.0:
+        raise ValueError(f"discount: {discount}, must lie in (0, 1) for an infinite horizon")
+    value = _solve(model, team, discount)
+    return float(np.sum(_start_weights(model, team) * value))
+
+
+def _solve(model: TabularModel, team: Sequence[Controller], discount: float) -> FloatArray:
+    shape = (model.n_states, *(c.n_nodes for c in team))
+    size = math.prod(shape)
+    backup = _JointBackup(model, team)
+
+    def residual_operator(flat: FloatArray) -> FloatArray:
+        value = flat.reshape(shape)
+        return (value - discount * backup.expected(value)).ravel()
+
+    operator = LinearOperator((size, size), matvec=residual_operator, dtype=np.float64)
+    reward = backup.reward().ravel()
+    solution, failed = gmres(operator, reward, rtol=TOLERANCE, atol=0.0, restart=60, maxiter=200)
+    if failed:
+        raise ArithmeticError(f"the value's linear system of size {size} did not converge")
+    return solution.reshape(shape)
+
+
+class _JointAction(NamedTuple):
+    """What one joint action does: its parts, p(a | z), and its rows of T and O."""
+
+    parts: tuple[int, ...]
+    chosen: FloatArray
+    transition: csr_array
+    observation: csc_array
+
+
+class _JointBackup:
+    """One step of model and controllers together, as linear maps on V (S, Z_1, ..., Z_N)."""
+
+    def __init__(self, model: TabularModel, team: Sequence[Controller]) -> None:
+        self.model, self.team = model, team
+        self.alive = ~model.terminal
+        self.actions = [self._joint_action(joint) for joint in range(model.n_actions)]
+
+    def _joint_action(self, joint: int) -> _JointAction:
+        size = self.model.n_states
+        rows = slice(joint * size, (joint + 1) * size)
+        parts = tuple(int(part) for part in np.unravel_index(joint, self.model.action_sizes))
+        each = [c.action[:, a] for c, a in zip(self.team, parts, strict=True)]
+        return _JointAction(
+            parts,
+            reduce(np.multiply.outer, each),
+            self.model.transition_rows[rows],
+            csc_array(self.model.observation_rows[rows]),
+        )
+
+    def reward(self) -> FloatArray:
+        """sum_a p(a | z) r(s, a): (S, Z_1, ..., Z_N)."""
+        total = np.zeros((self.model.n_states, *(c.n_nodes for c in self.team)))
+        for mean, joint in zip(self.model.expected_reward, self.actions, strict=True):
+            total += np.multiply.outer(mean, joint.chosen)
+        return total
+
+    def expected(self, value: FloatArray) -> FloatArray:
+        """Mean of V over the next states and nodes."""
+        value = value * self.alive.reshape((-1,) + (1,) * len(self.team))
+        total = np.zeros_like(value)
+        for joint in self.actions:
+            after = self._over_nodes(value, joint)
+            moved = joint.transition @ after.reshape(after.shape[0], -1)
+            total += joint.chosen * moved.reshape(value.shape)
+        return total
+
+    def _over_nodes(self, value: FloatArray, action: _JointAction) -> FloatArray:
+        """sum_{o, z'} O(o | a, s') W(z' | z, a, o) V(s', z') as a function of (s', z)."""
+        after = np.zeros_like(value)
+        column = action.observation
+        for joint in range(column.shape[1]):
+            entries = slice(column.indptr[joint], column.indptr[joint + 1])
+            ends = column.indices[entries]
+            if ends.size == 0:
+                continue
+            part = value[ends]
+            seen = np.unravel_index(joint, self.model.observation_sizes)
+            for n, (c, a, o) in enumerate(zip(self.team, action.parts, seen, strict=True)):
+                part = np.moveaxis(np.tensordot(part, c.successor[a, o], (n + 1, 1)), -1, n + 1)
+            chance = column.data[entries].reshape((-1,) + (1,) * len(self.team))
+            after[ends] += chance * part
+        return after
+
+
+def _start_weights(model: TabularModel, team: Sequence[Controller]) -> FloatArray:
+    """Joint distribution (S, Z_1, ..., Z_N) of the first state and nodes."""
+    if model.fully_observed:
+        return model.start[:, None] * team[0].initial
+    nodes = [c.initial[size] for c, size in zip(team, model.observation_sizes, strict=True)]
+    return reduce(np.multiply.outer, nodes, model.start)
+
+
+def _check_normalised(agent: int, controller: Controller) -> None:
+    for name in ("initial", "action", "successor"):
+        off = np.abs(getattr(controller, name).sum(axis=-1) - 1.0).max()
+        if off > 1e-6:
+            raise ValueError(f"controller of agent {agent}: a row of {name} is off 1 by {off:.2g}")

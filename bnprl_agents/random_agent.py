@@ -1,0 +1,45 @@
+"""Uniformly random actions: the floor of every comparison."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bnprl_agents.agent import Metrics
+from bnprl_agents.controllers.controller import Controller
+from bnprl_agents.controllers.learner import ControllerAgent
+from bnprl_agents.episodes import EpisodeBatch
+
+
+@dataclass(frozen=True)
+class RandomConfig:
+    """`RandomAgent` has no settings."""
+
+
+class RandomAgent(ControllerAgent):
+    """Chooses uniformly among the actions: a controller of one node that never learns."""
+
+    Config = RandomConfig
+
+    @property
+    def batch_episodes(self) -> int:
+        """Episodes between two reports."""
+        return 100
+
+    def initial_controllers(self) -> tuple[Controller, ...]:
+        """One node with uniform actions."""
+        return tuple(
+            Controller(
+                initial=np.ones((n_observations, 1)),
+                action=np.full((1, n_actions), 1.0 / n_actions),
+                successor=np.ones((n_actions, n_observations, 1, 1)),
+            )
+            for n_actions, n_observations in zip(
+                self.spaces.action_sizes, self.spaces.observation_sizes, strict=True
+            )
+        )
+
+    def learn(self, episodes: EpisodeBatch) -> Metrics:
+        """Learn nothing; returns the mean return."""
+        return {"return_mean": float(episodes.returns(self.discount).mean())}

@@ -1,0 +1,122 @@
+"""The one loop that runs any agent in any vector environment."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.vector import AutoresetMode
+
+from bnprl_agents.agent import Agent, Metrics
+from bnprl_agents.controllers.learner import ControllerAgent
+from bnprl_agents.controllers.rollout import rollout
+from bnprl_envs.model import TabularModel
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far training has come.
+
+    Attributes:
+        episodes: episodes finished so far.
+        steps: environment steps taken so far, over all copies.
+        metrics: what the last update reported; {} between updates.
+    """
+
+    episodes: int
+    steps: int
+    metrics: Metrics = field(default_factory=dict)
+
+
+def train(
+    agent: Agent,
+    env: gym.vector.VectorEnv[Any, Any, Any],
+    *,
+    seed: int,
+    episodes: int | None = None,
+    steps: int | None = None,
+) -> Iterator[Progress]:
+    """Train an agent until the budget is spent; yields after every update.
+
+    Where the environment is tabular and the agent learns controllers, whole episodes are sampled
+    by the compiled rollout instead of stepping copies. The two agree in law.
+
+    Args:
+        agent: learns in place.
+        env: a vector environment whose autoreset is disabled.
+        seed: of the environment.
+        episodes: budget of finished episodes.
+        steps: budget of environment steps over all copies. An update whose episodes would take
+            the total past it is not made. Give one of the two.
+
+    Raises:
+        ValueError: the budget is not given by exactly one positive number, or autoreset is on.
+    """
+    budget = episodes if steps is None else steps
+    if (episodes is None) == (steps is None) or budget is None or budget < 1:
+        raise ValueError(f"episodes: {episodes}, steps: {steps}; give one of them, at least 1")
+    if env.metadata.get("autoreset_mode") is not AutoresetMode.DISABLED:
+        raise ValueError(
+            f"autoreset_mode: {env.metadata.get('autoreset_mode')}, must be AutoresetMode.DISABLED"
+        )
+    model, horizon = getattr(env, "model", None), getattr(env, "max_episode_steps", None)
+    if isinstance(agent, ControllerAgent) and isinstance(model, TabularModel) and horizon:
+        return _train_compiled(agent, model, horizon, seed, episodes, steps)
+    return _train_stepwise(agent, env, seed, episodes, steps)
+
+
+def _train_compiled(
+    agent: ControllerAgent,
+    model: TabularModel,
+    horizon: int,
+    seed: int,
+    episodes: int | None,
+    steps: int | None,
+) -> Iterator[Progress]:
+    rng = np.random.default_rng(seed)
+    done, taken = 0, 0
+    while (episodes is not None and done < episodes) or (steps is not None and taken < steps):
+        wanted = agent.batch_episodes
+        batch = rollout(
+            model,
+            agent.controllers,
+            episodes=wanted if episodes is None else min(wanted, episodes - done),
+            horizon=horizon,
+            rng=rng,
+            explore=agent.explore,
+        )
+        if steps is not None and taken + batch.n_steps > steps:
+            yield Progress(done, taken)
+            return
+        done, taken = done + batch.n_episodes, taken + batch.n_steps
+        yield Progress(done, taken, agent.learn(batch))
+
+
+def _train_stepwise(
+    agent: Agent,
+    env: gym.vector.VectorEnv[Any, Any, Any],
+    seed: int,
+    episodes: int | None,
+    steps: int | None,
+) -> Iterator[Progress]:
+    observation, _ = env.reset(seed=seed)
+    agent.reset(observation)
+    done, taken = 0, 0
+    while (episodes is None or done < episodes) and (
+        steps is None or taken + env.num_envs <= steps
+    ):
+        action = agent.act(observation)
+        observation, reward, terminated, truncated, _ = env.step(action)
+        agent.observe(action, reward, observation, terminated, truncated)
+        ended = terminated | truncated
+        done, taken = done + int(ended.sum()), taken + env.num_envs
+        metrics = agent.update()
+        if metrics:
+            yield Progress(done, taken, metrics)
+        if ended.any():
+            observation, _ = env.reset(options={"reset_mask": ended})
+            agent.reset(observation, ended)
+    yield Progress(done, taken)

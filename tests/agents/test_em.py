@@ -1,0 +1,148 @@
+"""The M-step, the schedules and the exploration of the EM learners."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from bnprl_agents.controllers.em import BatchEM, BatchEMConfig, inner_em, maximise
+from bnprl_agents.controllers.exploration import exploration_suffices, exploring_probability
+from bnprl_agents.controllers.learner import shifted
+from bnprl_agents.controllers.messages import forward, reward_shares, soft_counts
+from bnprl_agents.controllers.online_em import OnlineEM, OnlineEMConfig
+from bnprl_agents.controllers.rollout import rollout
+from bnprl_agents.controllers.value import controller_value
+from tests.agents.cases import random_episodes, random_model, random_team
+
+DISCOUNT = 0.9
+SPACES = gym.spaces.Discrete(4), gym.spaces.Discrete(2)
+
+
+def test_maximise_normalises_and_keeps_rows_without_evidence():
+    rng = np.random.default_rng(0)
+    episodes = random_episodes(rng, (3, 2), (2,), (4,))
+    (controller,) = random_team(rng, (3,), (2,), (4,))
+    _, counts = soft_counts(episodes, controller, DISCOUNT)
+    improved = maximise(counts, controller)
+    for name, table in vars(improved).items():
+        np.testing.assert_allclose(table.sum(axis=-1), 1.0)
+        empty = getattr(counts, name).sum(axis=-1) == 0.0
+        np.testing.assert_array_equal(table[empty], getattr(controller, name)[empty])
+        filled = getattr(counts, name)[~empty]
+        np.testing.assert_allclose(table[~empty], filled / filled.sum(axis=-1, keepdims=True))
+    assert (counts.successor.sum(axis=-1) == 0.0).any(), "the case has rows without evidence"
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_em_never_lowers_the_empirical_value(seed):
+    rng = np.random.default_rng(seed)
+    sizes = (2, 3), (3, 2)
+    episodes = random_episodes(rng, tuple(rng.integers(1, 8, size=30)), *sizes)
+    team, values = random_team(rng, (3, 2), *sizes), []
+    for _ in range(15):
+        messages = [forward(episodes, n, c) for n, c in enumerate(team)]
+        value, nu = reward_shares(episodes, [m.likelihood for m in messages], DISCOUNT)
+        values.append(value)
+        team, _ = inner_em(episodes, team, messages, nu, 3, lambda n, s, c: maximise(s, c))
+    assert (np.diff(values) >= -1e-12 * np.abs(values[1:])).all()
+    assert values[-1] > 1.2 * values[0]
+
+
+def test_value_of_on_policy_data_converges_to_the_exact_value():
+    rng = np.random.default_rng(1)
+    model = random_model(rng)
+    team = random_team(rng, (2,), (2,), (4,))
+    explore = [np.array([0.5, 0.2])]
+    episodes = rollout(model, team, episodes=40_000, horizon=100, rng=rng, explore=explore)
+    value, _ = soft_counts(episodes, team, DISCOUNT)
+    assert value == pytest.approx(controller_value(model, team, DISCOUNT), rel=0.03)
+
+
+def test_exploration_follows_the_beta_distribution():
+    rng = np.random.default_rng(2)
+    drawn = np.array([exploring_probability(np.array([0.0, 6.0]), 2.0, rng) for _ in range(4000)])
+    assert (drawn[:, 0] == 1.0).all()
+    assert drawn[:, 1].mean() == pytest.approx(2.0 / 8.0, abs=0.01)
+
+
+def test_stopping_rule():
+    # threshold (1 - .9) * .5 / 2 = .025
+    assert exploration_suffices(0.024, 0.9, 0.5, 2.0)
+    assert not exploration_suffices(0.026, 0.9, 0.5, 2.0)
+
+
+def test_shift_leaves_the_differences_between_policies_alone():
+    rng = np.random.default_rng(3)
+    episodes = random_episodes(rng, (2, 5), (2,), (4,))
+    moved = shifted(episodes, 3.0, DISCOUNT)
+    difference = moved.returns(DISCOUNT) - episodes.returns(DISCOUNT)
+    np.testing.assert_allclose(difference, 3.0 / (1.0 - DISCOUNT))
+
+
+@pytest.mark.parametrize("learner", [BatchEM, OnlineEM])
+def test_learns_on_a_small_model(learner):
+    rng = np.random.default_rng(5)
+    model = random_model(rng)
+    agent = learner(*SPACES, learner.Config(nodes=4, batch_episodes=100), discount=0.9, seed=0)
+    before = controller_value(model, agent.controllers, 0.9)
+    for _ in range(40):
+        agent.learn(
+            rollout(
+                model, agent.controllers, episodes=100, horizon=50, rng=rng, explore=agent.explore
+            )
+        )
+    best_blind = max(controller_value(model, blind(action), 0.9) for action in range(2))
+    assert controller_value(model, agent.controllers, 0.9) > max(before, best_blind)
+
+
+def blind(action):
+    (controller,) = random_team(np.random.default_rng(0), (1,), (2,), (4,))
+    return type(controller)(controller.initial, np.eye(2)[[action]], controller.successor)
+
+
+def test_online_blends_with_the_saved_statistics_once_an_update():
+    rng = np.random.default_rng(5)
+    config = OnlineEMConfig(nodes=2, batch_episodes=5, inner_iterations=4)
+    agent = OnlineEM(*SPACES, config, discount=0.9, seed=0)
+    agent.learn(random_episodes(rng, (3, 4), (2,), (4,)))
+    saved, rate = agent.statistics[0].action.copy(), (1 + 2 / 10) ** -0.6
+    silent = random_episodes(rng, (3, 4), (2,), (4,))
+    silent.rewards[:] = 0.0
+    policy = agent.controllers
+    agent.learn(silent)
+    np.testing.assert_allclose(agent.statistics[0].action, (1 - rate) * saved)
+    for before, after in zip(policy, agent.controllers, strict=True):
+        np.testing.assert_allclose(after.action, before.action)
+
+
+def test_online_stops_when_exploring_is_negligible():
+    rng = np.random.default_rng(6)
+    agent = OnlineEM(*SPACES, OnlineEMConfig(nodes=2, tolerance=100.0), discount=0.9, seed=0)
+    for _ in range(2):
+        agent.learn(random_episodes(rng, (3, 4), (2,), (4,)))
+    policy = agent.controllers
+    assert agent.learn(random_episodes(rng, (3, 4), (2,), (4,))) == {"stopped": 1.0}
+    assert agent.controllers is policy
+
+
+def test_fixed_behaviour_stays_uniform():
+    rng = np.random.default_rng(7)
+    agent = OnlineEM(*SPACES, OnlineEMConfig(nodes=2, behaviour="uniform"), discount=0.9, seed=0)
+    agent.learn(random_episodes(rng, (3, 4), (2,), (4,)))
+    np.testing.assert_array_equal(agent.explore[0], 1.0)
+
+
+@pytest.mark.parametrize(
+    ("config", "settings", "message"),
+    [
+        (BatchEMConfig, {"nodes": 0}, "nodes: 0, must be at least 1"),
+        (OnlineEMConfig, {"rate_exponent": 0.5}, r"rate_exponent: 0\.5"),
+        (OnlineEMConfig, {"rate_offset": 0.0}, "rate_offset"),
+        (OnlineEMConfig, {"behaviour": "greedy"}, "behaviour: 'greedy', must be"),
+        (OnlineEMConfig, {"tolerance": -1.0}, "tolerance"),
+        (BatchEMConfig, {"exploration_prior": 0.0}, "exploration_prior"),
+        (BatchEMConfig, {"reward_shift": np.inf}, "reward_shift"),
+    ],
+)
+def test_settings_out_of_range(config, settings, message):
+    with pytest.raises(ValueError, match=message):
+        config(**settings)
