@@ -1,0 +1,253 @@
+"""Every learner by name, ours and Stable-Baselines3's, with its default settings as data.
+
+A new learner is one entry of `CONTENDERS`.
+"""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+import json
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal, Protocol
+
+import numpy as np
+
+from baselines.evaluation import EnvironmentSpec, Policy
+from bnprl_agents.agent import Agent, _read_archive, load
+from bnprl_agents.training import Progress, train
+
+EXTRA_MODULES = ("stable_baselines3", "sb3_contrib", "torch")
+"""What the extra `baselines` installs."""
+
+
+class MissingExtraError(ImportError):
+    """A contender needs an optional dependency; the message says how to install it."""
+
+
+class Learner(Protocol):
+    """A contender at work in one environment."""
+
+    policy_suffix: str
+    """How the name of its policy file ends."""
+
+    @property
+    def policy(self) -> Policy:
+        """The current policy; valid between two steps of `learn`."""
+
+    def learn(self, *, episodes: int | None = None, steps: int | None = None) -> Iterator[Progress]:
+        """Learn until the budget (one of the two, a total) is spent; may be called once."""
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the learned policy to a file that `load_policy` reads."""
+
+
+@dataclass(frozen=True)
+class Contender:
+    """One learner that can be compared.
+
+    Attributes:
+        name: on the command line.
+        summary: one line for listings.
+        family: whose it is.
+        defaults: "module:class" of its settings, imported when first used.
+        build: "module:class" of a subclass of `Agent`, or, for family "sb3", of a `Learner`
+            whose constructor takes (environment, settings, seed, tensorboard).
+    """
+
+    name: str
+    summary: str
+    family: Literal["bnprl", "sb3"]
+    defaults: str
+    build: str
+
+    @cached_property
+    def settings(self) -> Any:
+        """The default settings: an instance of a frozen dataclass."""
+        return _resolve(self.defaults)()
+
+
+def _agent(name: str, agent: str, config: str, summary: str) -> Contender:
+    module = agent.split(":")[0]
+    return Contender(name, summary, "bnprl", f"{module}:{config}", agent)
+
+
+def _sb3(name: str, settings: str, summary: str) -> Contender:
+    return Contender(
+        name, summary, "sb3", f"baselines.sb3_settings:{settings}", "baselines.sb3:SB3Learner"
+    )
+
+
+CONTENDERS: dict[str, Contender] = {
+    contender.name: contender
+    for contender in (
+        _agent(
+            "online-em",
+            "bnprl_agents.controllers.online_em:OnlineEM",
+            "OnlineEMConfig",
+            "finite-state controllers by EM with running statistics",
+        ),
+        _agent(
+            "batch-em",
+            "bnprl_agents.controllers.em:BatchEM",
+            "BatchEMConfig",
+            "finite-state controllers by EM on batches of episodes",
+        ),
+        _agent(
+            "random",
+            "bnprl_agents.random_agent:RandomAgent",
+            "RandomConfig",
+            "uniformly random actions; learns nothing",
+        ),
+        _sb3("dqn", "DQNSettings", "deep Q-network on a stack of observations"),
+        _sb3("ppo", "PPOSettings", "proximal policy optimisation on a stack of observations"),
+        _sb3("a2c", "A2CSettings", "advantage actor-critic on a stack of observations"),
+        _sb3("recurrent-ppo", "RecurrentPPOSettings", "proximal policy optimisation with an LSTM"),
+    )
+}
+"""Name -> contender, in the order of listings."""
+
+
+def contender(name: str) -> Contender:
+    """Return the contender of a name.
+
+    Raises:
+        ValueError: there is none; near misses are named.
+    """
+    if name in CONTENDERS:
+        return CONTENDERS[name]
+    near = difflib.get_close_matches(name.lower(), CONTENDERS, n=3)
+    hint = f"did you mean {' or '.join(near)}?" if near else f"known: {', '.join(CONTENDERS)}"
+    raise ValueError(f"unknown agent {name!r}; {hint}")
+
+
+class AgentLearner:
+    """One of this suite's agents as a contender.
+
+    Args:
+        agent_class: the agent.
+        environment: what to learn in.
+        settings: the agent's config.
+        seed: of everything random.
+        n_envs: copies that are stepped together; the compiled rollout makes none.
+
+    Attributes:
+        agent: the learner, which is its own policy.
+
+    Raises:
+        ValueError: the agent cannot serve the environment, or as `EnvironmentSpec.make_vec`.
+    """
+
+    policy_suffix = ".npz"
+
+    def __init__(
+        self,
+        agent_class: type[Agent],
+        environment: EnvironmentSpec,
+        settings: Any,
+        seed: int,
+        n_envs: int = 16,
+    ) -> None:
+        agent_seed, env_seed = np.random.SeedSequence(seed).generate_state(2)
+        self._env = environment.make_vec(n_envs, "Disabled")
+        self._env_seed = int(env_seed)
+        try:
+            self.agent = agent_class(
+                self._env.single_observation_space,
+                self._env.single_action_space,
+                settings,
+                discount=environment.discount,
+                seed=int(agent_seed),
+            )
+        except ValueError as error:
+            raise ValueError(f"{environment.id}: {error}") from error
+
+    @property
+    def policy(self) -> Agent:
+        """The agent, whose `predict` is the learned policy."""
+        return self.agent
+
+    def learn(self, *, episodes: int | None = None, steps: int | None = None) -> Iterator[Progress]:
+        """Learn until the budget is spent; see `bnprl_agents.training.train`.
+
+        Raises:
+            ValueError: the budget is not given by exactly one positive number.
+        """
+        return train(self.agent, self._env, seed=self._env_seed, episodes=episodes, steps=steps)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the agent to a policy file, from which it could go on learning."""
+        self.agent.save(path)
+
+
+def build_learner(
+    contender: Contender,
+    environment: EnvironmentSpec,
+    settings: Any | None,
+    seed: int,
+    tensorboard: Path | None = None,
+) -> Learner:
+    """Build a contender for an environment.
+
+    Args:
+        contender: which.
+        environment: what it will learn in.
+        settings: of the type of `contender.settings`; None: those.
+        seed: of everything random, at least 0.
+        tensorboard: folder for the log that Stable-Baselines3's learners write; the others'
+            metrics are in the progress that `learn` yields.
+
+    Raises:
+        ValueError: it cannot serve the environment, or the settings are another learner's.
+        MissingExtraError: a dependency is not installed.
+    """
+    chosen = contender.settings if settings is None else settings
+    if type(chosen) is not type(contender.settings):
+        raise ValueError(
+            f"settings: {type(chosen).__name__}, but {contender.name} has "
+            f"{type(contender.settings).__name__}"
+        )
+    target = _resolve(contender.build)
+    if contender.family == "bnprl":
+        return AgentLearner(target, environment, chosen, seed)
+    learner: Learner = target(environment, chosen, seed, tensorboard)
+    return learner
+
+
+def load_policy(path: str | os.PathLike[str]) -> Policy:
+    """Read the policy file of any contender.
+
+    Raises:
+        PolicyFileError: the file does not hold a policy.
+        MissingExtraError: a dependency is not installed.
+        OSError: the file cannot be read.
+    """
+    if _file_format(path) == "bnprl-sb3-policy":
+        policy: Policy = _resolve("baselines.sb3:load_sb3_policy")(path)
+        return policy
+    return load(path)
+
+
+def _file_format(path: str | os.PathLike[str]) -> Any:
+    """Return what a file says that it is; None where it says nothing."""
+    data = Path(path).read_bytes()
+    try:
+        return json.loads(_read_archive(data)["meta"].tobytes())["format"]
+    except Exception:  # whatever is wrong with it, the reader says so better
+        return None
+
+
+def _resolve(target: str) -> Any:
+    module, name = target.split(":")
+    try:
+        return getattr(importlib.import_module(module), name)
+    except ModuleNotFoundError as error:
+        if (error.name or "").split(".")[0] not in EXTRA_MODULES:
+            raise
+        raise MissingExtraError(
+            f'{error.name} is not installed: pip install "bnprl[baselines]"'
+        ) from error

@@ -1,0 +1,296 @@
+"""What a run leaves behind: one line of JSON per evaluation point, a policy file, an error text.
+
+Lines are appended, flushed and synchronised one at a time, so that whatever happens to the
+process every complete line is good. Everything read back is checked as if a stranger wrote it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import json
+import logging
+import math
+import os
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO
+
+LINE_LIMIT = 2**20
+"""Longest line in bytes that is read."""
+
+try:
+    import fcntl
+except ImportError:  # not a POSIX system
+    fcntl = None  # type: ignore[assignment]
+
+_log = logging.getLogger(__name__)
+
+
+class RecordError(ValueError):
+    """A file of an experiment's folder that is not what it should be: `FILE:LINE: reason`."""
+
+
+class FolderInUseError(RuntimeError):
+    """Another command is writing to the same folder."""
+
+
+@dataclass(frozen=True)
+class Record:
+    """One evaluation of one run; its fields are the keys of a line.
+
+    Attributes:
+        contender: name of the entry in the experiment.
+        seed: index of the run's seed, counted from 0.
+        episodes: training episodes so far.
+        steps: environment steps of training so far.
+        train_seconds: wall-clock of training so far, evaluations not counted.
+        eval_seconds: wall-clock of evaluations so far.
+        return_mean: mean discounted return of the evaluation episodes.
+        return_std: their standard deviation.
+        length_mean: their mean length in steps.
+        eval_episodes: their number.
+        exact_value: the policy's exact value, None where the model is not known.
+        metrics: what the learner reported last.
+        final: whether this is the run's last line; a run without one is not finished.
+    """
+
+    contender: str
+    seed: int
+    episodes: int
+    steps: int
+    train_seconds: float
+    eval_seconds: float
+    return_mean: float
+    return_std: float
+    length_mean: float
+    eval_episodes: int
+    exact_value: float | None
+    metrics: dict[str, float]
+    final: bool
+
+    def line(self) -> bytes:
+        """Return the record as one line of JSON."""
+        return json.dumps(dataclasses.asdict(self), allow_nan=False).encode() + b"\n"
+
+
+@dataclass(frozen=True)
+class Records:
+    """The lines of one file; `size` is the length in bytes of its complete part."""
+
+    lines: tuple[Record, ...]
+    size: int
+    torn: bool
+
+    @property
+    def finished(self) -> bool:
+        """Whether the run came to its end."""
+        return bool(self.lines) and self.lines[-1].final
+
+
+@dataclass(frozen=True)
+class RunFiles:
+    """The files of one run below an experiment's folder."""
+
+    folder: Path
+    contender: str
+    seed: int
+
+    @property
+    def _stem(self) -> Path:
+        return self.folder / "runs" / self.contender / str(self.seed)
+
+    @property
+    def name(self) -> str:
+        """How messages call the run."""
+        return f"{self.contender}/{self.seed}"
+
+    @property
+    def records(self) -> Path:
+        """The lines."""
+        return self._stem.with_name(f"{self.seed}.jsonl")
+
+    @property
+    def error(self) -> Path:
+        """The traceback of a run that failed."""
+        return self._stem.with_name(f"{self.seed}.error.txt")
+
+    def policy(self, suffix: str) -> Path:
+        """The policy learned; the suffix says by which library."""
+        return self._stem.with_name(f"{self.seed}.policy{suffix}")
+
+    def find_policy(self) -> Path | None:
+        """Return the policy file that is there, None if there is none."""
+        found = (self.policy(suffix) for suffix in (".npz", ".zip"))
+        return next((path for path in found if path.exists()), None)
+
+    def read(self) -> Records:
+        """Read the lines; a run that has not begun has none.
+
+        Raises:
+            RecordError: the file is damaged elsewhere than in its last line.
+        """
+        if not self.records.exists():
+            return Records((), 0, False)
+        found = read_records(self.records)
+        for number, line in enumerate(found.lines, 1):
+            if (line.contender, line.seed) != (self.contender, self.seed):
+                raise RecordError(
+                    f"{self.records}:{number}: belongs to {line.contender}/{line.seed}"
+                )
+        return found
+
+
+class RunLog:
+    """The file of one run, open for appending; no other process writes to it meanwhile."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+
+    def restart(self) -> None:
+        """Throw away what an unfinished run left."""
+        self._file.truncate(0)
+
+    def append(self, record: Record) -> None:
+        """Write one line; when this returns the line survives a crash of the machine."""
+        self._file.write(record.line())
+        self._file.flush()
+        os.fsync(self._file.fileno())
+
+
+@contextlib.contextmanager
+def open_log(path: Path) -> Iterator[RunLog]:
+    """Open a run's file, waiting for a writer that an earlier, killed command left behind."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("ab") as file:
+        _flock(file, wait=True)
+        yield RunLog(file)
+
+
+def read_records(path: Path) -> Records:
+    """Read a file of records; a torn last line is dropped with a warning.
+
+    Raises:
+        RecordError: a line is too long, is not a record, or holds a number that is not finite.
+        OSError: the file cannot be read.
+    """
+    lines: list[Record] = []
+    size = 0
+    with path.open("rb") as file:
+        for number, text in enumerate(iter(lambda: file.readline(LINE_LIMIT + 1), b""), 1):
+            where = f"{path}:{number}"
+            if len(text) > LINE_LIMIT:
+                raise RecordError(f"{where}: line longer than {LINE_LIMIT} bytes")
+            value = parse_json(text) if text.endswith(b"\n") else None
+            if value is None and not file.read(1):
+                _log.warning("%s: torn last line dropped", where)
+                return Records(tuple(lines), size, True)
+            lines.append(_record(value, where))
+            size += len(text)
+    return Records(tuple(lines), size, False)
+
+
+def parse_json(text: bytes) -> Any:
+    """Return the JSON value of a text, None if it is not JSON or holds NaN or an infinity."""
+    try:
+        return json.loads(text, parse_constant=_refuse_constant)
+    except (ValueError, RecursionError):
+        return None
+
+
+def _refuse_constant(name: str) -> None:
+    raise ValueError(f"{name} is not JSON")
+
+
+def _is_count(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value < 2**63
+
+
+def _is_number(value: Any) -> bool:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    return abs(value) < 1e300 and math.isfinite(value)
+
+
+def _is_metrics(value: Any) -> bool:
+    return isinstance(value, dict) and all(_is_number(number) for number in value.values())
+
+
+_CHECKS: dict[str, tuple[Callable[[Any], bool], str]] = {
+    "contender": (lambda value: isinstance(value, str), "a name"),
+    "seed": (_is_count, "a count"),
+    "episodes": (_is_count, "a count"),
+    "steps": (_is_count, "a count"),
+    "train_seconds": (_is_number, "a finite number"),
+    "eval_seconds": (_is_number, "a finite number"),
+    "return_mean": (_is_number, "a finite number"),
+    "return_std": (_is_number, "a finite number"),
+    "length_mean": (_is_number, "a finite number"),
+    "eval_episodes": (_is_count, "a count"),
+    "exact_value": (lambda value: value is None or _is_number(value), "a finite number or null"),
+    "metrics": (_is_metrics, "an object of finite numbers"),
+    "final": (lambda value: isinstance(value, bool), "true or false"),
+}
+
+
+def _record(value: Any, where: str) -> Record:
+    if not isinstance(value, dict):
+        raise RecordError(f"{where}: not a record")
+    for key in value.keys() ^ _CHECKS.keys():
+        raise RecordError(f"{where}: key {key!r} {'is unknown' if key in value else 'is missing'}")
+    for key, (check, wanted) in _CHECKS.items():
+        if not check(value[key]):
+            raise RecordError(f"{where}: {key} must be {wanted}")
+    return Record(**value)
+
+
+def check_name(name: str) -> str:
+    """Return a name that may become a folder.
+
+    Raises:
+        ValueError: it may not.
+    """
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._+-]{0,99}", name):
+        raise ValueError(f"name {name!r}: letters, digits and . _ + - only, at most 100")
+    return name
+
+
+def write_atomic(path: Path, data: str | bytes) -> None:
+    """Write a file that appears by rename, whole or not at all."""
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        with partial.open("wb") as file:
+            file.write(data.encode() if isinstance(data, str) else data)
+            file.flush()
+            os.fsync(file.fileno())
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def folder_lock(folder: Path) -> Iterator[None]:
+    """Hold a folder against other commands; the lock dies with the process.
+
+    Raises:
+        FolderInUseError: another process holds it.
+        OSError: the folder cannot be written.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / ".lock").open("ab") as file:
+        if not _flock(file, wait=False):
+            raise FolderInUseError(f"{folder}: another bnprl command is writing to this folder")
+        yield
+
+
+def _flock(file: BinaryIO, *, wait: bool) -> bool:
+    """Lock a file until it is closed; always true where the system has no `flock`."""
+    if fcntl is None:
+        return True
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+    except BlockingIOError:
+        return False
+    return True

@@ -1,0 +1,208 @@
+"""Stable-Baselines3's learners behind the interface of every contender.
+
+The only module (with `sb3_policy` and `sb3_vec_env`) that imports Stable-Baselines3 and torch,
+which takes seconds: `baselines.contenders` names it by string and imports it when such a learner
+is built.
+
+Stable-Baselines3 draws from the global generators of numpy, torch and Python while it learns.
+Predictions in between draw from a generator of their own, so that a learning curve depends on
+the seed alone; but two of these learners must not take turns in one process.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from gymnasium.spaces import Box, Discrete
+from stable_baselines3.common.logger import KVWriter, Logger, TensorBoardOutputFormat
+from stable_baselines3.common.utils import LinearSchedule, safe_mean
+
+from baselines.evaluation import EnvironmentSpec
+from baselines.sb3_policy import (
+    ALGORITHMS,
+    SB3Policy,
+    load_sb3_policy,
+    policy_keywords,
+    save_sb3_policy,
+)
+from baselines.sb3_settings import DQNSettings, PPOSettings, SB3Settings
+from baselines.sb3_vec_env import Encoder, SB3VecEnv
+from bnprl_agents.training import Progress
+
+__all__ = ["SB3Learner", "SB3Policy", "load_sb3_policy"]
+
+
+class SB3Learner:
+    """One of Stable-Baselines3's algorithms, learning in slices of a rollout.
+
+    Args:
+        environment: what to learn in; `settings.n_envs` copies are made.
+        settings: which algorithm, and how.
+        seed: of everything random.
+        tensorboard: folder for the algorithm's own log; None: no log.
+
+    Raises:
+        ValueError: the algorithm cannot serve the environment's spaces.
+    """
+
+    policy_suffix = ".npz"
+
+    def __init__(
+        self,
+        environment: EnvironmentSpec,
+        settings: SB3Settings,
+        seed: int,
+        tensorboard: Path | None = None,
+    ) -> None:
+        torch.set_num_threads(1)  # two only slow networks of this size
+        env = environment.make_vec(settings.n_envs, "Disabled")
+        try:
+            encoder = Encoder(env.single_observation_space, settings.frame_stack)
+            _check_actions(env.single_action_space, settings)
+        except ValueError as error:
+            raise ValueError(f"{environment.id}: {error}") from error
+        self.settings = settings
+        self._spaces = (env.single_observation_space, env.single_action_space)
+        self._env = SB3VecEnv(env, encoder)
+        algorithm, policy_name = ALGORITHMS[type(settings)]
+        constructor: Any = algorithm
+        first, second = np.random.SeedSequence(seed).generate_state(2)
+        self._model: Any = constructor(
+            policy_name,
+            self._env,
+            gamma=environment.discount,
+            policy_kwargs=policy_keywords(settings),
+            seed=int(first),
+            device="cpu",
+            **_keywords(settings),
+        )
+        self._latest = _Latest()
+        outputs: list[KVWriter] = [self._latest]
+        if tensorboard is not None:
+            outputs.append(TensorBoardOutputFormat(str(tensorboard)))
+        self._model.set_logger(Logger(None, outputs))
+        self._policy = SB3Policy(self._model.policy, encoder, int(second))
+        self._used = False
+
+    @property
+    def policy(self) -> SB3Policy:
+        """The current policy."""
+        return self._policy
+
+    def learn(self, *, episodes: int | None = None, steps: int | None = None) -> Iterator[Progress]:
+        """Learn until the budget is spent; yields after every rollout.
+
+        Args:
+            episodes: budget of finished episodes; learning stops at the first rollout's end at
+                or past it.
+            steps: budget of environment steps over all copies; a rollout that would pass it is
+                not begun. Give one of the two.
+
+        Raises:
+            ValueError: the budget is not given by exactly one positive number, or is smaller
+                than one rollout.
+            RuntimeError: called a second time.
+        """
+        budget = episodes if steps is None else steps
+        if (episodes is None) == (steps is None) or budget is None or budget < 1:
+            raise ValueError(f"episodes: {episodes}, steps: {steps}; give one of them, at least 1")
+        if steps is not None and steps < self.settings.rollout_steps:
+            raise ValueError(
+                f"steps: {steps}, must be at least one rollout of {self.settings.rollout_steps}"
+            )
+        if self._used:
+            raise RuntimeError("learn() can be called once")
+        self._used = True
+        return self._slices(episodes, steps)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the policy (not the learner) to a file that `load_sb3_policy` reads."""
+        save_sb3_policy(path, self._model.policy, self.settings, *self._spaces)
+
+    def _slices(self, episodes: int | None, steps: int | None) -> Iterator[Progress]:
+        env, model, size = self._env, self._model, self.settings.rollout_steps
+
+        def share_left(_: float = 0.0) -> float:
+            spent = env.episodes / episodes if episodes else env.steps / (steps or 1)
+            return max(0.0, 1.0 - spent)
+
+        if isinstance(self.settings, DQNSettings):  # its own schedule would see each slice only
+            epsilon = LinearSchedule(
+                1.0, self.settings.exploration_final, self.settings.exploration_fraction
+            )
+            model.exploration_schedule = lambda _: epsilon(share_left())
+        try:
+            while share_left() > 0.0 and (steps is None or env.steps + size <= steps):
+                model.learn(size, reset_num_timesteps=False)
+                yield Progress(env.episodes, env.steps, self._metrics())
+        finally:
+            model.logger.close()
+            env.close()
+
+    def _metrics(self) -> dict[str, float]:
+        """Return what the algorithm logged last, in its names, returns undiscounted."""
+        recent = self._model.ep_info_buffer or ()
+        logged = self._latest.values | self._model.logger.name_to_value
+        if recent:
+            logged["rollout/ep_rew_mean"] = safe_mean([episode["r"] for episode in recent])
+            logged["rollout/ep_len_mean"] = safe_mean([episode["l"] for episode in recent])
+        return {
+            name: float(value)
+            for name, value in sorted(logged.items())
+            if name.startswith(("rollout/", "train/"))
+        }
+
+
+class _Latest(KVWriter):
+    """Keeps what was logged last, because the logger forgets it."""
+
+    def __init__(self) -> None:
+        self.values: dict[str, Any] = {}
+
+    def write(
+        self, key_values: dict[str, Any], key_excluded: dict[str, tuple[str, ...]], step: int = 0
+    ) -> None:
+        self.values |= key_values
+
+    def close(self) -> None:
+        pass
+
+
+def _check_actions(space: Any, settings: SB3Settings) -> None:
+    """Refuse an action space that the algorithm cannot serve."""
+    continuous = isinstance(space, Box) and not isinstance(settings, DQNSettings)
+    if not continuous and not (isinstance(space, Discrete) and space.start == 0):
+        allowed = "Discrete from 0" + ("" if isinstance(settings, DQNSettings) else " or Box")
+        raise ValueError(f"action space {space}, must be {allowed}")
+
+
+def _keywords(settings: SB3Settings) -> dict[str, Any]:
+    """Return what the algorithm's constructor takes, by its own names."""
+    if isinstance(settings, DQNSettings):
+        return {
+            "learning_rate": settings.learning_rate,
+            "buffer_size": settings.buffer_size,
+            "batch_size": settings.batch_size,
+            "learning_starts": settings.learning_starts,
+            "train_freq": settings.train_freq,
+            "gradient_steps": settings.gradient_steps,
+            "target_update_interval": settings.target_update,
+        }
+    keywords = {
+        "learning_rate": settings.learning_rate,
+        "n_steps": settings.n_steps,
+        "gae_lambda": settings.gae_lambda,
+        "ent_coef": settings.entropy,
+    }
+    if isinstance(settings, PPOSettings):
+        keywords |= {
+            "batch_size": settings.batch_size,
+            "n_epochs": settings.n_epochs,
+            "clip_range": settings.clip_range,
+        }
+    return keywords

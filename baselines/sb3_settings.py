@@ -1,0 +1,147 @@
+"""Settings of Stable-Baselines3's learners as data; importing this module costs nothing."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class OnPolicySettings:
+    """Settings that the actor-critic learners share.
+
+    The defaults are tuned on `bnprl/Hallway-v0` at 150,000 steps, not those of
+    Stable-Baselines3, which are made for fully observed tasks. There four stacked observations
+    did better than one for every learner without memory.
+
+    Raises:
+        ValueError: a number is out of range.
+    """
+
+    n_envs: int = 16
+    """Copies of the environment that are stepped together."""
+    n_steps: int = 128
+    """Steps of each copy between two updates."""
+    learning_rate: float = 1e-3
+    """Step size of the optimiser, constant."""
+    gae_lambda: float = 0.95
+    """Decay of generalised advantage estimation, in [0, 1]."""
+    entropy: float = 0.01
+    """Weight of the entropy bonus."""
+    frame_stack: int = 4
+    """Last observations that the policy sees, where they are discrete; 1 is memoryless."""
+    hidden_units: int = 64
+    """Units of each of the two hidden layers of the actor and of the critic."""
+
+    def __post_init__(self) -> None:
+        _check_counts(self)
+
+    @property
+    def rollout_steps(self) -> int:
+        """Environment steps of all copies between two updates."""
+        return self.n_envs * self.n_steps
+
+
+@dataclass(frozen=True)
+class A2CSettings(OnPolicySettings):
+    """Advantage actor-critic.
+
+    One small step an update, so updates are frequent and large: rollouts of 16 steps at a
+    learning rate of 1e-3 learned visibly slower on Hallway.
+    """
+
+    n_steps: int = 8
+    """Steps of each copy between two updates."""
+    learning_rate: float = 3e-3
+    """Step size of the optimiser, constant."""
+
+
+@dataclass(frozen=True)
+class PPOSettings(OnPolicySettings):
+    """Proximal policy optimisation on a short stack of observations."""
+
+    batch_size: int = 512
+    """Steps of a minibatch."""
+    n_epochs: int = 5
+    """Passes over the steps of one update."""
+    clip_range: float = 0.2
+    """Largest change of an action's probability ratio that is rewarded."""
+
+
+@dataclass(frozen=True)
+class RecurrentPPOSettings(PPOSettings):
+    """Proximal policy optimisation with a recurrent policy, which needs no stack.
+
+    Many copies, a small LSTM and large minibatches run an order of magnitude faster than
+    Stable-Baselines3's defaults and learn no worse.
+    """
+
+    frame_stack: int = 1
+    """Last observations that the policy sees, where they are discrete."""
+    lstm_units: int = 64
+    """Units of the LSTM of the actor and of that of the critic."""
+
+
+@dataclass(frozen=True)
+class DQNSettings:
+    """Deep Q-network; its policy is greedy, so on a single observation it would loop for ever.
+
+    On Hallway it learned nothing from one observation at a time; more gradient steps a step cost
+    time and gained nothing there.
+
+    Raises:
+        ValueError: a number is out of range.
+    """
+
+    n_envs: int = 8
+    """Copies of the environment that are stepped together."""
+    learning_rate: float = 1e-3
+    """Step size of the optimiser, constant."""
+    buffer_size: int = 100_000
+    """Transitions kept for replay."""
+    batch_size: int = 128
+    """Transitions of a minibatch."""
+    learning_starts: int = 2_000
+    """Environment steps by random actions before learning begins."""
+    train_freq: int = 2
+    """Steps of each copy between two rounds of gradient steps."""
+    gradient_steps: int = 2
+    """Gradient steps of one round."""
+    target_update: int = 2_000
+    """Environment steps between two copies of the network into the target network."""
+    exploration_fraction: float = 0.3
+    """Share of the whole budget over which epsilon falls linearly from 1 to its final value."""
+    exploration_final: float = 0.05
+    """Final probability of a random action while learning."""
+    frame_stack: int = 4
+    """Last observations that the policy sees, where they are discrete; 1 is memoryless."""
+    hidden_units: int = 64
+    """Units of each of the two hidden layers."""
+
+    def __post_init__(self) -> None:
+        _check_counts(self)
+        if not 0.0 < self.exploration_fraction <= 1.0:
+            raise ValueError(
+                f"exploration_fraction: {self.exploration_fraction}, must lie in (0, 1]"
+            )
+        if not 0.0 <= self.exploration_final <= 1.0:
+            raise ValueError(f"exploration_final: {self.exploration_final}, must lie in [0, 1]")
+
+    @property
+    def rollout_steps(self) -> int:
+        """Environment steps between two reports, a multiple of those between two updates."""
+        each = self.n_envs * self.train_freq
+        return each * max(1, 1_000 // each)
+
+
+SB3Settings = A2CSettings | PPOSettings | RecurrentPPOSettings | DQNSettings
+
+
+def _check_counts(settings: OnPolicySettings | DQNSettings) -> None:
+    """Check that every integer is at least 1, and a step size positive."""
+    for field in dataclasses.fields(settings):
+        value = getattr(settings, field.name)
+        if isinstance(value, int) and value < 1:
+            raise ValueError(f"{field.name}: {value}, must be at least 1")
+    if not settings.learning_rate > 0.0:
+        raise ValueError(f"learning_rate: {settings.learning_rate}, must be positive")

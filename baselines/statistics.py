@@ -1,0 +1,84 @@
+"""Means with bootstrap intervals."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+CONFIDENCE = 0.95
+RESAMPLES = 9_999
+DRAWS = 10_000_000
+"""Largest number of draws of one interval; large samples get fewer resamples."""
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A mean and its confidence interval, which one value alone does not have."""
+
+    mean: float
+    low: float | None
+    high: float | None
+
+
+def mean_interval(values: npt.ArrayLike, confidence: float = CONFIDENCE, seed: int = 0) -> Interval:
+    """Return the mean of (n,) values with its percentile bootstrap interval.
+
+    The percentile interval is defined for every sample of two values or more; the corrected and
+    accelerated one is not (equal values, or very few). Equal seeds give equal intervals.
+
+    Args:
+        values: independent, finite.
+        confidence: in (0, 1).
+        seed: of the resampling.
+
+    Raises:
+        ValueError: there is no value, or one is not finite.
+    """
+    sample = np.asarray(values, dtype=np.float64)
+    if sample.ndim != 1 or sample.size == 0:
+        raise ValueError(f"values: shape {sample.shape}, must be (n,) with n at least 1")
+    if not np.isfinite(sample).all():
+        raise ValueError("values: must be finite")
+    mean = float(sample.mean())
+    if sample.size == 1:
+        return Interval(mean, None, None)
+    low, high = _bootstrap(sample[:, None], confidence, seed)
+    return Interval(mean, float(low[0]), float(high[0]))
+
+
+def mean_band(
+    curves: FloatArray, confidence: float = CONFIDENCE, seed: int = 0
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the mean of (n, points) curves and the ends of its pointwise interval.
+
+    One curve alone is its own band.
+    """
+    mean = curves.mean(axis=0)
+    if len(curves) == 1:
+        return mean, mean, mean
+    low, high = _bootstrap(curves, confidence, seed)
+    return mean, low, high
+
+
+def _bootstrap(sample: FloatArray, confidence: float, seed: int) -> tuple[FloatArray, FloatArray]:
+    from scipy.stats import bootstrap  # takes a second to import
+
+    resamples = int(np.clip(DRAWS // sample.size, 999, RESAMPLES))
+    result: Any = bootstrap(
+        (sample,),
+        np.mean,
+        axis=0,
+        n_resamples=resamples,
+        batch=max(1, 1_000_000 // sample.size),
+        confidence_level=confidence,
+        method="percentile",
+        rng=np.random.default_rng(seed),
+    )
+    ends = result.confidence_interval
+    mean = sample.mean(axis=0)  # rounding must not put it outside
+    return np.minimum(ends.low, mean), np.maximum(ends.high, mean)

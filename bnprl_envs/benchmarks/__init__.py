@@ -1,0 +1,1 @@
+"""The discrete benchmarks, one short file each: a function that returns a `TabularModel`."""

@@ -1,0 +1,87 @@
+import re
+import subprocess
+import sys
+
+import gymnasium as gym
+import pytest
+from gymnasium.envs.registration import EnvSpec
+
+import bnprl_envs
+from bnprl_envs import registry
+from bnprl_envs.planning import mdp_value, random_value
+
+IDS = bnprl_envs.environment_ids()
+TABULAR = [id for id in IDS if bnprl_envs.entry(id).kind == "tabular"]
+
+
+def test_the_ids_of_this_release():
+    assert {"bnprl/Hallway-v0", "bnprl/Tag-v0"} <= set(IDS)
+
+
+@pytest.mark.parametrize("id", IDS)
+def test_every_id_is_known_to_gymnasium_with_its_horizon(id):
+    assert gym.spec(id).max_episode_steps == bnprl_envs.entry(id).horizon
+    assert EnvSpec.from_json(gym.spec(id).to_json()) == gym.spec(id)
+
+
+@pytest.mark.parametrize("id", TABULAR)
+def test_an_entry_agrees_with_its_model(id):
+    entry, model = bnprl_envs.entry(id), bnprl_envs.model(id)
+    values = {reference.name: reference.value for reference in entry.references}
+    assert model.discount == entry.discount
+    assert values["random"] == pytest.approx(random_value(model), abs=2e-5)
+    optimum = model.start @ mdp_value(model)
+    assert values["random"] < values["memoryless"] < values["lower"] < optimum
+    assert values.get("upper", optimum) <= optimum
+
+
+def test_arguments_reach_the_benchmark():
+    assert not bnprl_envs.model("bnprl/Hallway-v0", resetting=True).terminal.any()
+    assert not gym.make("bnprl/Tag-v0", resetting=True).unwrapped.model.terminal.any()
+    with pytest.raises(TypeError, match="unexpected keyword argument 'reseting'"):
+        bnprl_envs.model("bnprl/Hallway-v0", reseting=True)
+
+
+def test_equal_calls_share_a_model():
+    assert bnprl_envs.model("bnprl/Tag-v0") is bnprl_envs.model("bnprl/Tag-v0")
+
+
+@pytest.mark.parametrize(
+    ("wrong", "near"),
+    [
+        ("bnprl/Halway-v0", "bnprl/Hallway-v0"),
+        ("hallway", "bnprl/Hallway-v0"),
+        ("Tag-v0", "bnprl/Tag-v0"),
+        ("bnprl/Tag-v1", "bnprl/Tag-v0"),
+    ],
+)
+@pytest.mark.parametrize("function", [bnprl_envs.model, bnprl_envs.entry])
+def test_an_unknown_id_names_near_misses(function, wrong, near):
+    with pytest.raises(ValueError, match=f"unknown environment '{wrong}'; did you mean.*{near}"):
+        function(wrong)
+
+
+def test_an_id_like_no_other_lists_them_all():
+    with pytest.raises(ValueError, match=re.escape(f"known: {', '.join(IDS)}")):
+        bnprl_envs.model("zzz")
+
+
+def test_an_id_without_tables_has_no_model(monkeypatch):
+    entry = registry.Entry("bnprl/Pole-v0", "", "somewhere:Pole", 10, 0.9, kind="class")
+    monkeypatch.setitem(registry._TABLE, entry.id, entry)
+    with pytest.raises(ValueError, match="bnprl/Pole-v0 has no tables"):
+        bnprl_envs.model(entry.id)
+
+
+def test_public_names():
+    for name in (*bnprl_envs.__all__, "TabularVectorEnv"):
+        assert getattr(bnprl_envs, name) is not None
+    with pytest.raises(AttributeError, match="'bnprl_envs' has no attribute 'nothing'"):
+        _ = bnprl_envs.nothing
+
+
+def test_importing_is_cheap():
+    heavy = "{'numba', 'matplotlib', 'torch', 'stable_baselines3'}"
+    code = f"import sys, bnprl_envs; sys.exit(', '.join({heavy} & set(sys.modules)) or 0)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, f"imported: {done.stderr}"
