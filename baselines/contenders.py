@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import difflib
 import importlib
-import json
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -18,7 +17,8 @@ from typing import Any, Literal, Protocol
 import numpy as np
 
 from baselines.evaluation import EnvironmentSpec, Policy
-from bnprl_agents.agent import Agent, _read_archive, load
+from bnprl_agents.agent import Agent, load
+from bnprl_agents.policy_files import read_policy
 from bnprl_agents.training import Progress, train
 
 EXTRA_MODULES = ("stable_baselines3", "sb3_contrib", "torch")
@@ -226,19 +226,11 @@ def load_policy(path: str | os.PathLike[str]) -> Policy:
         MissingExtraError: a dependency is not installed.
         OSError: the file cannot be read.
     """
-    if _file_format(path) == "bnprl-sb3-policy":
+    meta, _ = read_policy(path)
+    if meta.get("format") == "bnprl-sb3-policy":
         policy: Policy = _resolve("baselines.sb3:load_sb3_policy")(path)
         return policy
     return load(path)
-
-
-def _file_format(path: str | os.PathLike[str]) -> Any:
-    """Return what a file says that it is; None where it says nothing."""
-    data = Path(path).read_bytes()
-    try:
-        return json.loads(_read_archive(data)["meta"].tobytes())["format"]
-    except Exception:  # whatever is wrong with it, the reader says so better
-        return None
 
 
 def _resolve(target: str) -> Any:

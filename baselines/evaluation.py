@@ -29,8 +29,6 @@ GYMNASIUM_DISCOUNT = 0.99
 """Discount of an environment that states none, where not given."""
 COPIES = 1024
 """Largest number of copies that one evaluation steps together."""
-CHUNK_STEPS = 2**20
-"""Largest number of steps that one compiled rollout may hold in memory, where it can choose."""
 
 
 class Policy(Protocol):
@@ -235,16 +233,17 @@ def evaluate(
 def _simulate_compiled(
     controllers: Any, model: TabularModel, horizon: int, episodes: int, rng: np.random.Generator
 ) -> Evaluation:
-    from bnprl_agents.controllers.rollout import rollout
+    from bnprl_agents.controllers.scoring import simulated_returns  # imports numba
     from bnprl_agents.controllers.value import controller_value
 
-    returns, lengths = np.empty(episodes), np.empty(episodes, dtype=np.int64)
-    chunk = max(1, CHUNK_STEPS // horizon)
-    for first in range(0, episodes, chunk):
-        count = min(chunk, episodes - first)
-        batch = rollout(model, controllers, episodes=count, horizon=horizon, rng=rng)
-        returns[first : first + count] = batch.returns(model.discount)
-        lengths[first : first + count] = batch.lengths
+    returns, lengths = simulated_returns(
+        model,
+        controllers,
+        episodes=episodes,
+        horizon=horizon,
+        discount=model.discount,
+        rng=rng,
+    )
     exact = controller_value(model, controllers, model.discount) if model.discount < 1.0 else None
     return Evaluation(returns, lengths, exact)
 

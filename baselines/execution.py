@@ -3,38 +3,30 @@
 from __future__ import annotations
 
 import contextlib
+import importlib
 import math
 import os
 import signal
 import threading
 import time
 import traceback
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import joblib
 import numpy as np
-from tqdm import tqdm
 
-from baselines.contenders import Learner, build_learner
+from baselines.contenders import Learner, MissingExtraError, build_learner
 from baselines.evaluation import evaluate
 from baselines.experiment import Experiment
-from baselines.records import Record, RunFiles, RunLog, open_log, parse_json
+from baselines.progress_bar import progress_bar
+from baselines.records import Record, Records, RunFiles, RunLog, open_log
+from baselines.study import read_runs
 from bnprl_agents.training import Progress
 
 ENGINES = ("joblib", "ray", "dask")
-POLL_SECONDS = 0.5
-"""Time between two looks at the records for the progress bar."""
-THREAD_VARIABLES = (
-    "OMP_NUM_THREADS",
-    "OPENBLAS_NUM_THREADS",
-    "MKL_NUM_THREADS",
-    "NUMBA_NUM_THREADS",
-    "VECLIB_MAXIMUM_THREADS",
-)
-"""Runs are the unit of parallelism: each computes with one thread, in the same order always."""
 
 
 @dataclass(frozen=True)
@@ -78,49 +70,47 @@ def execute(
 
     Raises:
         RecordError: the records of a run are damaged.
-        ImportError: the engine is not installed.
+        MissingExtraError: the engine is not installed.
     """
     logs = folder / "tensorboard" if tensorboard else None
-    every = [
-        RunFiles(folder, e.name, i) for e in experiment.entries for i in range(experiment.seeds)
-    ]
-    pending = [files for files in every if not files.read().finished]
+    found = read_runs(experiment, folder, repair=True)
     runs = [
-        Run(experiment, files, logs, os.getpid()) for files in _longest_first(experiment, every)
+        Run(experiment, files, logs, os.getpid())
+        for files in _longest_first(experiment, found)
+        if not found[files].finished
     ]
-    runs = [run for run in runs if run.files in pending]
     if not runs:
         return []
-    with _engine(engine, jobs), _progress_bar(experiment, every, shown=progress):
+    with (
+        _engine(engine, min(jobs, len(runs))),
+        progress_bar(experiment, tuple(found), shown=progress),
+    ):
         done = joblib.Parallel()(joblib.delayed(_attempt)(run) for run in runs)
     return [run.files for run, good in zip(runs, done, strict=True) if not good]
 
 
-def _longest_first(experiment: Experiment, every: Sequence[RunFiles]) -> list[RunFiles]:
+def _longest_first(experiment: Experiment, found: Mapping[RunFiles, Records]) -> list[RunFiles]:
     """Order runs by the time that other seeds took; unknown: Stable-Baselines3's first."""
     known: dict[str, float] = {}
-    for files in every:
-        for record in files.read().lines[-1:]:
+    for files, records in found.items():
+        for record in records.lines[-1:]:
             share = getattr(record, experiment.unit) / experiment.budget
             estimate = (record.train_seconds + record.eval_seconds) / max(share, 1e-6)
             known[files.contender] = max(estimate, known.get(files.contender, 0.0))
     for entry in experiment.entries:
         known.setdefault(entry.name, math.inf if entry.learner.family == "sb3" else 0.0)
-    return sorted(every, key=lambda files: -known[files.contender])
+    return sorted(found, key=lambda files: -known[files.contender])
 
 
 @contextlib.contextmanager
 def _engine(engine: str, jobs: int) -> Iterator[None]:
     """Choose joblib's backend for the block."""
     if engine == "dask":
-        from dask.distributed import Client
-
-        with Client(n_workers=jobs, threads_per_worker=1), joblib.parallel_config("dask"):
+        client = _optional("dask.distributed", "dask").Client(n_workers=jobs, threads_per_worker=1)
+        with client, joblib.parallel_config("dask"):
             yield
     elif engine == "ray":
-        from ray.util.joblib import register_ray
-
-        register_ray()
+        _optional("ray.util.joblib", "ray").register_ray()
         with joblib.parallel_config("ray", n_jobs=jobs):
             yield
     else:
@@ -128,10 +118,17 @@ def _engine(engine: str, jobs: int) -> Iterator[None]:
             yield
 
 
+def _optional(module: str, extra: str) -> Any:
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        raise MissingExtraError(
+            f'{extra} is not installed: pip install "bnprl[{extra}]"'
+        ) from error
+
+
 def _attempt(run: Run) -> bool:
     """Do a run in a worker; false if it failed."""
-    for variable in THREAD_VARIABLES:
-        os.environ.setdefault(variable, "1")
     if os.getpid() != run.owner and threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # the owner hears it and ends the workers
     try:
@@ -181,7 +178,8 @@ class _Course:
         """Train to the end of the budget, evaluating on the way."""
         experiment = self._run.experiment
         points, reached = experiment.eval_points, 0
-        progress, metrics = Progress(0, 0), {}
+        progress = Progress(0, 0)
+        metrics: dict[str, float] = {}
         started = time.perf_counter()
         for progress in self._learner.learn(episodes=experiment.episodes, steps=experiment.steps):
             self._train_seconds += time.perf_counter() - started
@@ -246,57 +244,3 @@ def _finite(metrics: dict[str, Any]) -> dict[str, float]:
     """Leave out what JSON cannot hold."""
     numbers = {name: float(value) for name, value in metrics.items()}
     return {name: value for name, value in numbers.items() if np.isfinite(value)}
-
-
-@contextlib.contextmanager
-def _progress_bar(
-    experiment: Experiment, every: Sequence[RunFiles], *, shown: bool
-) -> Iterator[None]:
-    """Follow all runs by their records while the block lasts."""
-    if not shown:
-        yield
-        return
-    ended = threading.Event()
-    total = experiment.budget * len(every)
-    with tqdm(total=total, unit=f" {experiment.unit}", unit_scale=True, smoothing=0.05) as bar:
-        bar.update(sum(_done(experiment, files) for files in every))
-        watcher = threading.Thread(target=_watch, args=(bar, experiment, every, ended), daemon=True)
-        watcher.start()
-        try:
-            yield
-        finally:
-            ended.set()
-            watcher.join()
-
-
-def _watch(
-    bar: Any, experiment: Experiment, every: Sequence[RunFiles], ended: threading.Event
-) -> None:
-    """Move the bar until the end is announced, and once more."""
-    finished: dict[RunFiles, int] = {}
-    last = False
-    while not last:
-        last = ended.wait(POLL_SECONDS)
-        for files in every:
-            if finished.get(files) != experiment.budget:
-                finished[files] = _done(experiment, files)
-        runs = sum(done == experiment.budget for done in finished.values())
-        bar.set_postfix_str(f"{runs}/{len(every)} runs", refresh=False)
-        bar.n = sum(finished.values())
-        bar.refresh()
-
-
-def _done(experiment: Experiment, files: RunFiles) -> int:
-    """Return how much of its budget a run has used, as its records tell."""
-    try:
-        last = files.records.read_bytes().splitlines()[-1:]
-    except OSError:
-        return 0
-    for text in last:
-        value = parse_json(text)
-        if isinstance(value, dict) and value.get("final") is True:
-            return experiment.budget
-        if isinstance(value, dict):
-            done = value.get(experiment.unit)
-            return min(done, experiment.budget) if isinstance(done, int) else 0
-    return 0

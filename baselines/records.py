@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import json
-import logging
 import math
 import os
 import re
@@ -25,8 +24,6 @@ try:
     import fcntl
 except ImportError:  # not a POSIX system
     fcntl = None  # type: ignore[assignment]
-
-_log = logging.getLogger(__name__)
 
 
 class RecordError(ValueError):
@@ -170,7 +167,7 @@ def open_log(path: Path) -> Iterator[RunLog]:
 
 
 def read_records(path: Path) -> Records:
-    """Read a file of records; a torn last line is dropped with a warning.
+    """Read a file of records without a torn last line; `Records.torn` tells of one.
 
     Raises:
         RecordError: a line is too long, is not a record, or holds a number that is not finite.
@@ -185,7 +182,6 @@ def read_records(path: Path) -> Records:
                 raise RecordError(f"{where}: line longer than {LINE_LIMIT} bytes")
             value = parse_json(text) if text.endswith(b"\n") else None
             if value is None and not file.read(1):
-                _log.warning("%s: torn last line dropped", where)
                 return Records(tuple(lines), size, True)
             lines.append(_record(value, where))
             size += len(text)

@@ -7,11 +7,7 @@ own archives cannot be read without executing what is in them. Imported by `base
 from __future__ import annotations
 
 import dataclasses
-import json
 import os
-import zipfile
-import zlib
-from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -31,7 +27,13 @@ from baselines.sb3_settings import (
     SB3Settings,
 )
 from baselines.sb3_vec_env import Encoder
-from bnprl_agents.agent import PolicyFileError, _build_space, _describe_space, _read_archive
+from bnprl_agents.policy_files import (
+    build_space,
+    describe_space,
+    read_policy,
+    refusing_damage,
+    write_policy,
+)
 
 Array = npt.NDArray[Any]
 
@@ -114,16 +116,11 @@ def save_sb3_policy(
         "version": 1,
         "algorithm": algorithm.__name__,
         "settings": dataclasses.asdict(settings),
-        "observation_space": _describe_space(observation_space),
-        "action_space": _describe_space(action_space),
+        "observation_space": describe_space(observation_space),
+        "action_space": describe_space(action_space),
     }
     arrays = {f"weights/{name}": w.numpy() for name, w in networks.state_dict().items()}
-    text = np.frombuffer(json.dumps(meta).encode(), dtype=np.uint8)
-    target = Path(path)
-    partial = target.with_name(f".{target.name}.{os.getpid()}.partial")
-    with partial.open("wb") as file:
-        np.savez_compressed(file, allow_pickle=False, meta=text, **arrays)
-    partial.replace(target)
+    write_policy(path, meta, arrays)
 
 
 def load_sb3_policy(path: str | os.PathLike[str]) -> SB3Policy:
@@ -134,28 +131,9 @@ def load_sb3_policy(path: str | os.PathLike[str]) -> SB3Policy:
         OSError: the file cannot be read.
     """
     torch.set_num_threads(1)
-    try:
-        arrays = _read_archive(Path(path).read_bytes())
-        return _rebuilt(json.loads(arrays.pop("meta").tobytes()), arrays)
-    except _DAMAGE as error:
-        reason = (str(error) or type(error).__name__).splitlines()[0]
-        raise PolicyFileError(
-            f"{path}: not the policy file of an SB3 learner ({reason})"
-        ) from error
-
-
-_DAMAGE = (
-    ValueError,
-    LookupError,
-    TypeError,
-    AttributeError,
-    EOFError,
-    MemoryError,
-    RuntimeError,
-    zipfile.BadZipFile,
-    zlib.error,
-)
-"""What reading a file that is no policy file can raise."""
+    meta, arrays = read_policy(path)
+    with refusing_damage(path):
+        return _rebuilt(meta, arrays)
 
 
 def _rebuilt(meta: Any, arrays: dict[str, Array]) -> SB3Policy:
@@ -165,20 +143,29 @@ def _rebuilt(meta: Any, arrays: dict[str, Array]) -> SB3Policy:
     named = {cls.__name__: (kind, cls, name) for kind, (cls, name) in ALGORITHMS.items()}
     kind, algorithm, policy_name = named[meta["algorithm"]]
     settings = kind(**meta["settings"])
-    encoder = Encoder(_build_space(meta["observation_space"]), settings.frame_stack)
-    with torch.device("meta"):  # shapes only: the file's own arrays become the weights
-        networks = algorithm.policy_aliases[policy_name](
-            encoder.space,
-            _build_space(meta["action_space"]),
-            lambda _: 0.0,
-            **policy_keywords(settings),
-        )
+    observation_space = build_space(meta["observation_space"])
+    _check_size(settings, observation_space, sum(array.size for array in arrays.values()))
+    encoder = Encoder(observation_space, settings.frame_stack)
+    networks = algorithm.policy_aliases[policy_name](
+        encoder.space,
+        build_space(meta["action_space"]),
+        lambda _: 0.0,
+        **policy_keywords(settings),
+    )
     weights = {
         name.removeprefix("weights/"): torch.as_tensor(array, dtype=torch.float32)
         for name, array in arrays.items()
     }
-    networks.load_state_dict(weights, assign=True)
+    networks.load_state_dict(weights)
     return SB3Policy(networks, encoder)
+
+
+def _check_size(settings: SB3Settings, space: gym.Space[Any], n_weights: int) -> None:
+    """Refuse to build networks much larger than the weights that are to fill them."""
+    inputs = int(space.n) * settings.frame_stack if isinstance(space, gym.spaces.Discrete) else 0
+    widest = max(settings.hidden_units, getattr(settings, "lstm_units", 0))
+    if inputs > n_weights or widest**2 > n_weights:
+        raise ValueError(f"{n_weights} weights are too few for {inputs} inputs, {widest} units")
 
 
 def policy_keywords(settings: SB3Settings) -> dict[str, Any]:

@@ -1,13 +1,15 @@
 """Agents that learn Bayesian nonparametric policies and value functions."""
 
-from bnprl_agents.agent import Agent, PolicyFileError, load
+from bnprl_agents.agent import Agent, load
 from bnprl_agents.controllers.controller import Controller, random_controller
 from bnprl_agents.controllers.em import BatchEM, BatchEMConfig
 from bnprl_agents.controllers.messages import Counts, soft_counts
 from bnprl_agents.controllers.online_em import OnlineEM, OnlineEMConfig
 from bnprl_agents.controllers.rollout import rollout
+from bnprl_agents.controllers.scoring import simulated_returns
 from bnprl_agents.controllers.value import controller_value
 from bnprl_agents.episodes import EpisodeBatch
+from bnprl_agents.policy_files import PolicyFileError
 from bnprl_agents.random_agent import RandomAgent, RandomConfig
 from bnprl_agents.training import Progress, train
 
@@ -28,6 +30,7 @@ __all__ = [
     "load",
     "random_controller",
     "rollout",
+    "simulated_returns",
     "soft_counts",
     "train",
 ]

@@ -27,6 +27,7 @@ from bnprl_envs.tables import (
     as_rows,
     check_rows,
     check_sizes,
+    divisor,
     frozen,
     identity_rows,
     normalise_rows,
@@ -131,7 +132,7 @@ class TabularModel:
         self.validate()
         normalise_rows(moves)
         normalise_rows(seen)
-        start_row /= start_row.sum()
+        start_row /= divisor(start_row.sum(), start_row.size)
         for rows in (moves, seen):
             for part in (rows.data, rows.indices, rows.indptr):
                 part.flags.writeable = False

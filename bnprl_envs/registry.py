@@ -60,7 +60,7 @@ class Entry:
     kind: Kind = "tabular"
 
 
-_EXACT = "exact: linear solve of the model"
+_EXACT = "exact: computed from the model"
 _SEARCH = "computed: search over memoryless policies of the model"
 _BOUNDS = "computed: point-based bounds of the model"
 _DISSERTATION = "source dissertation: online EM, 50,000 episodes"

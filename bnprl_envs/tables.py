@@ -116,15 +116,19 @@ def check_rows(name: str, rows: csr_array, row_name: Callable[[int], str]) -> No
 
 
 def normalise_rows(rows: csr_array) -> None:
-    """Divide every row by its sum, in place.
+    """Divide every row by its sum, in place."""
+    counts = np.diff(rows.indptr)
+    rows.data /= np.repeat(divisor(np.add.reduceat(rows.data, rows.indptr[:-1]), counts), counts)
+
+
+def divisor(sums: npt.ArrayLike, counts: npt.ArrayLike) -> FloatArray:
+    """What to divide rows with these sums and numbers of entries by.
 
     A row of n entries whose sum is off 1 by no more than n rounding errors, as that of a divided
     row may be, stays as it is: normalising twice is normalising once, bit for bit.
     """
-    counts = np.diff(rows.indptr)
-    sums = np.add.reduceat(rows.data, rows.indptr[:-1])
-    sums[np.abs(sums - 1) <= counts * np.finfo(np.float64).eps] = 1.0
-    rows.data /= np.repeat(sums, counts)
+    rounding = np.asarray(counts) * np.finfo(np.float64).eps
+    return np.where(np.abs(np.asarray(sums) - 1.0) <= rounding, 1.0, sums)
 
 
 def check_sizes(name: str, sizes: Sequence[int], product: int) -> None:

@@ -62,7 +62,8 @@ class TabularEnv(gym.Env[Any, Any]):
         self.action_space, self.observation_space = single_agent_spaces(self.model)
         check_render_mode(render_mode)
         self.render_mode = None
-        self._limit = checked_limit(max_episode_steps) or math.inf
+        self.max_episode_steps = checked_limit(max_episode_steps)
+        self._limit = max_episode_steps or math.inf
         self._tables = step_tables(self.model)
         self._uniforms: list[float] = []
         self._state = -1

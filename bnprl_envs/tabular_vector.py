@@ -80,7 +80,8 @@ class TabularVectorEnv(VectorEnv[IntArray, IntArray, npt.NDArray[Any]]):
         self.single_action_space, self.single_observation_space = single_agent_spaces(self.model)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self._limit = checked_limit(max_episode_steps) or _NO_LIMIT
+        self.max_episode_steps = checked_limit(max_episode_steps)
+        self._limit = max_episode_steps or _NO_LIMIT
         self._sampler = self.model.sampler
         self._states = np.full(num_envs, -1, dtype=np.int64)
         self._elapsed = np.zeros(num_envs, dtype=np.int64)

@@ -36,8 +36,8 @@ def our_e_step(episodes: int, length: int, nodes: int) -> Callable[[], float]:
         actions=rng.integers(N_ACTIONS, size=(steps, 1)),
         rewards=rng.random(steps),
         behaviour=np.full((steps, 1), 1.0 / N_ACTIONS),
-        final_observations=np.zeros((episodes, 1)),
-        terminated=np.ones(episodes),
+        final_observations=np.zeros((episodes, 1), dtype=np.int64),
+        terminated=np.ones(episodes, dtype=np.bool_),
     )
     controller = random_controller(nodes, N_ACTIONS, N_OBSERVATIONS, rng)
 

@@ -8,12 +8,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bnprl_agents.agent import Agent, Arrays, Metrics
+from bnprl_agents.agent import Agent, Metrics
 from bnprl_agents.controllers.controller import Controller, normalised, random_controller
 from bnprl_agents.controllers.exploration import exploring_probability, team_exploring
 from bnprl_agents.controllers.messages import Counts, Messages
 from bnprl_agents.discrete import DiscreteSpaces
 from bnprl_agents.episodes import BoolArray, EpisodeBatch, FloatArray, IntArray
+from bnprl_agents.policy_files import Arrays
 from bnprl_agents.recorder import EpisodeRecorder
 
 

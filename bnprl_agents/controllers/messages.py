@@ -208,8 +208,9 @@ def _forward(offsets, observations, actions, initial, action, successor):  # typ
                 mass[:] = 0.0
                 for i in range(n_nodes):
                     weight = alpha[t - 1, i]
-                    for j in range(n_nodes):
-                        mass[j] += weight * move[i, j]
+                    if weight > 0.0:
+                        for j in range(n_nodes):
+                            mass[j] += weight * move[i, j]
             total = 0.0
             for j in range(n_nodes):
                 mass[j] *= action[actions[t], j]
@@ -249,9 +250,10 @@ def _backward(  # type: ignore[no-untyped-def]
             for i in range(n_nodes):
                 weight = alpha[t - 1, i]
                 total = nu[t - 1]
-                for j in range(n_nodes):
-                    pair[i, j] += weight * ahead[j]
-                    total += move[i, j] * ahead[j]
+                if weight > 0.0:  # else nothing that the history allows depends on B(i)
+                    for j in range(n_nodes):
+                        pair[i, j] += weight * ahead[j]
+                        total += move[i, j] * ahead[j]
                 future[i] = total
         for j in range(n_nodes):
             count = alpha[begin, j] * future[j]

@@ -7,13 +7,14 @@ from typing import Any, Literal
 
 import numpy as np
 
-from bnprl_agents.agent import Arrays, Metrics
+from bnprl_agents.agent import Metrics
 from bnprl_agents.controllers.controller import Controller
 from bnprl_agents.controllers.em import check_settings, inner_em, maximise
 from bnprl_agents.controllers.exploration import exploration_suffices
 from bnprl_agents.controllers.learner import ControllerAgent, shifted
 from bnprl_agents.controllers.messages import Counts, forward, reward_weights
 from bnprl_agents.episodes import EpisodeBatch
+from bnprl_agents.policy_files import Arrays
 
 
 @dataclass(frozen=True)

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple, TypeVar
 
 import numpy as np
-from numba import njit
+from numba import get_num_threads, njit
 
-from bnprl_agents.controllers.controller import Controller
+from bnprl_agents.controllers.controller import Controller, normalised
 from bnprl_agents.episodes import EpisodeBatch, FloatArray, IntArray
 from bnprl_envs.model import TabularModel
 from bnprl_envs.sampling import draw
+
+T = TypeVar("T")
+
+CHUNK = 64
+"""Episodes of one random stream."""
 
 
 class Team(NamedTuple):
@@ -61,11 +67,34 @@ def rollout(
     """
     team = (controllers,) if isinstance(controllers, Controller) else tuple(controllers)
     check_fit(model, team)
-    if episodes < 1 or horizon < 1:
-        raise ValueError(f"episodes: {episodes}, horizon: {horizon}, both must be at least 1")
-    return EpisodeBatch(
-        *_rollout(model.sampler, _padded(model, team, explore), episodes, horizon, rng)
+    check_size(episodes, horizon)
+    padded = _padded(model, team, explore)
+    parts = in_chunks(
+        lambda size, stream: _rollout(model.sampler, padded, size, horizon, stream),
+        episodes,
+        rng,
     )
+    return EpisodeBatch.concatenate([EpisodeBatch(*part) for part in parts])
+
+
+def in_chunks(
+    simulate: Callable[[int, np.random.Generator], T],
+    episodes: int,
+    rng: np.random.Generator,
+) -> list[T]:
+    """Simulate chunks of episodes, in as many threads as numba is allowed (NUMBA_NUM_THREADS).
+
+    Each chunk has a random stream of its own, so that the threads do not change the result.
+
+    Args:
+        simulate: (number of episodes, random stream) -> result; releases the interpreter's lock.
+        episodes: of all chunks, at least 1.
+        rng: source of the chunks' seeds; it is advanced.
+    """
+    sizes = np.diff(np.append(np.arange(0, episodes, CHUNK), episodes)).tolist()
+    streams = [np.random.default_rng(seed) for seed in rng.integers(2**63, size=len(sizes))]
+    with ThreadPoolExecutor(get_num_threads()) as pool:
+        return list(pool.map(simulate, sizes, streams))
 
 
 def check_fit(model: TabularModel, team: Sequence[Controller]) -> None:
@@ -87,6 +116,16 @@ def check_fit(model: TabularModel, team: Sequence[Controller]) -> None:
             )
 
 
+def check_size(episodes: int, horizon: int) -> None:
+    """Check the size of a simulation.
+
+    Raises:
+        ValueError: a number is below 1.
+    """
+    if episodes < 1 or horizon < 1:
+        raise ValueError(f"episodes: {episodes}, horizon: {horizon}, both must be at least 1")
+
+
 def _padded(
     model: TabularModel, team: Sequence[Controller], explore: Sequence[FloatArray] | None
 ) -> Team:
@@ -103,7 +142,7 @@ def _padded(
         explore=np.zeros((len(team), n_nodes)),
     )
     for n, c in enumerate(team):
-        padded.initial[n, : c.n_observations, : c.n_nodes] = c.initial
+        padded.initial[n, : c.n_observations, : c.n_nodes] = normalised(c.initial)
         padded.action[n, : c.n_actions, : c.n_nodes] = c.action.T
         padded.successor[n, : c.n_actions, : c.n_observations, : c.n_nodes, : c.n_nodes] = (
             c.successor
@@ -113,56 +152,53 @@ def _padded(
     return padded
 
 
-@njit(cache=True, fastmath={"reassoc", "contract"})
-def _choose(team, n, belief, rng):  # type: ignore[no-untyped-def]
-    """Draw agent n's action; return it with its behaviour probability."""
-    n_nodes, n_actions = team.node_sizes[n], team.action_sizes[n]
-    explore = 0.0
+@njit(cache=True, inline="always")
+def _choose(belief, explore, action, uniform):  # type: ignore[no-untyped-def]
+    """Draw an action for a node distribution; return it with its behaviour probability."""
+    n_actions, n_nodes = action.shape
+    exploring = 0.0
     for i in range(n_nodes):
-        explore += belief[i] * team.explore[n, i]
-    target = rng.random()
+        exploring += belief[i] * explore[i]
     chosen, probability, passed = 0, 0.0, 0.0
     for a in range(n_actions):
-        exploit = 0.0
+        exploiting = 0.0
         for i in range(n_nodes):
-            exploit += belief[i] * team.action[n, a, i]
-        p = (1.0 - explore) * exploit + explore / n_actions
+            exploiting += belief[i] * action[a, i]
+        p = (1.0 - exploring) * exploiting + exploring / n_actions
         if p > 0.0:
-            chosen, probability = a, p
+            chosen, probability = a, min(p, 1.0)
             passed += p
-            if target < passed:
+            if uniform < passed:
                 break
-    return chosen, min(probability, 1.0)
+    return chosen, probability
 
 
-@njit(cache=True, fastmath={"reassoc", "contract"})
+@njit(cache=True, inline="always")
 def _filter(belief, ahead, action, move):  # type: ignore[no-untyped-def]
     """Overwrite the node distribution by the one after an action and an observation."""
     n_nodes = belief.size
     ahead[:] = 0.0
     for i in range(n_nodes):
         weight = belief[i] * action[i]
-        for j in range(n_nodes):
-            ahead[j] += weight * move[i, j]
-    _normalise(ahead, belief)
+        if weight > 0.0:
+            for j in range(n_nodes):
+                ahead[j] += weight * move[i, j]
+    total = 0.0
+    for j in range(n_nodes):
+        total += ahead[j]
+    for j in range(n_nodes):
+        belief[j] = ahead[j] / total if total > 0.0 else 1.0 / n_nodes
 
 
-@njit(cache=True)
-def _normalise(mass, belief):  # type: ignore[no-untyped-def]
-    total = mass.sum()
-    for j in range(belief.size):
-        belief[j] = mass[j] / total if total > 0.0 else 1.0 / belief.size
-
-
-@njit(cache=True)
-def _split(joint, sizes, parts):  # type: ignore[no-untyped-def]
+@njit(cache=True, inline="always")
+def split_joint(joint, sizes, parts):  # type: ignore[no-untyped-def]
     """Decode a joint index, the first agent most significant."""
     for n in range(sizes.size - 1, -1, -1):
         parts[n] = joint % sizes[n]
         joint //= sizes[n]
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True, fastmath={"reassoc", "contract"}, error_model="numpy")
 def _rollout(sampler, team, episodes, horizon, rng):  # type: ignore[no-untyped-def]
     n_agents, n_nodes = team.explore.shape
     capacity = episodes * horizon
@@ -182,12 +218,18 @@ def _rollout(sampler, team, episodes, horizon, rng):  # type: ignore[no-untyped-
         for n in range(n_agents):
             size = team.node_sizes[n]
             seen[n] = state if sampler.informative_start else team.observation_sizes[n]
-            _normalise(team.initial[n, seen[n], :size], beliefs[n, :size])
+            beliefs[n, :size] = team.initial[n, seen[n], :size]
         for t in range(horizon):
             joint = 0
             for n in range(n_agents):
                 observations[step, n] = seen[n]
-                a, p = _choose(team, n, beliefs[n], rng)
+                size = team.node_sizes[n]
+                a, p = _choose(
+                    beliefs[n, :size],
+                    team.explore[n, :size],
+                    team.action[n, : team.action_sizes[n], :size],
+                    rng.random(),
+                )
                 actions[step, n], behaviour[step, n] = a, p
                 joint = joint * team.action_sizes[n] + a
             move = draw(sampler.transition, joint * sampler.n_states + state, rng.random())
@@ -196,7 +238,7 @@ def _rollout(sampler, team, episodes, horizon, rng):  # type: ignore[no-untyped-
                 draw(sampler.observation, joint * sampler.n_states + state, rng.random())
             ]
             rewards[step] = sampler.reward[move, sight % sampler.reward.shape[1]]
-            _split(sight, team.observation_sizes, seen)
+            split_joint(sight, team.observation_sizes, seen)
             step += 1
             if sampler.terminal[state]:
                 terminated[k] = True

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
-from bnprl_agents.agent import PolicyFileError, load
+from bnprl_agents.agent import load
 from bnprl_agents.controllers.em import BatchEM, BatchEMConfig
 from bnprl_agents.controllers.online_em import OnlineEM, OnlineEMConfig
+from bnprl_agents.policy_files import PolicyFileError
 from bnprl_agents.random_agent import RandomAgent
 from bnprl_agents.training import train
 

@@ -4,9 +4,12 @@ import itertools
 
 import numpy as np
 import pytest
+import scipy.stats
 
+from bnprl_agents.controllers import rollout as rollout_module
 from bnprl_agents.controllers.controller import Controller
 from bnprl_agents.controllers.rollout import rollout
+from bnprl_agents.controllers.scoring import simulated_returns
 from bnprl_agents.controllers.value import controller_value
 from tests.agents.cases import random_model, random_team
 
@@ -77,6 +80,47 @@ def test_simulated_return_agrees_with_the_exact_value():
     returns = episodes.returns(0.9)
     error = returns.std() / np.sqrt(returns.size)
     assert abs(returns.mean() - controller_value(model, team, 0.9)) < 4 * error
+
+
+def test_scored_return_agrees_with_the_exact_value():
+    rng = np.random.default_rng(2)
+    model = random_model(rng, 4, **TEAM)
+    team = random_team(rng, (3, 2), (2, 3), (3, 4))
+    returns, lengths = simulated_returns(
+        model, team, episodes=40_000, horizon=200, discount=0.9, rng=rng
+    )
+    error = returns.std() / np.sqrt(returns.size)
+    assert abs(returns.mean() - controller_value(model, team, 0.9)) < 4 * error
+    assert 1 <= lengths.min() < lengths.max() <= 200
+
+
+def test_scoring_and_rollout_have_one_law():
+    """With observations that matter for the reward and a controller that needs its memory."""
+    rng = np.random.default_rng(8)
+    model = random_model(rng, 4)
+    (controller,) = random_team(rng, (3,), (2,), (4,))
+    rolled = rollout(model, controller, episodes=20_000, horizon=6, rng=rng)
+    scored, lengths = simulated_returns(
+        model, controller, episodes=20_000, horizon=6, discount=0.9, rng=rng
+    )
+    assert scipy.stats.ks_2samp(rolled.returns(0.9), scored).pvalue > 1e-3
+    counts = [np.bincount(x, minlength=7)[1:] for x in (rolled.lengths, lengths)]
+    assert scipy.stats.chi2_contingency(counts).pvalue > 1e-3
+
+
+@pytest.mark.parametrize("simulate", [rollout, simulated_returns])
+def test_threads_do_not_change_the_result(simulate, monkeypatch):
+    model = random_model(np.random.default_rng(5), 4)
+    team = random_team(np.random.default_rng(6), (3,), (2,), (4,))
+    discount = {"discount": 0.9} if simulate is simulated_returns else {}
+
+    def sampled(threads):
+        monkeypatch.setattr(rollout_module, "get_num_threads", lambda: threads)
+        rng = np.random.default_rng(0)
+        out = simulate(model, team, episodes=300, horizon=9, rng=rng, **discount)
+        return (out.rewards if simulate is rollout else out[0]).tolist(), rng.random()
+
+    assert sampled(1) == sampled(4)
 
 
 def test_episodes_end_at_the_terminal_state_or_the_horizon():

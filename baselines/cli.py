@@ -1,0 +1,213 @@
+"""The `bnprl` command. Nothing heavy is imported before a command needs it."""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+import os
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+from tyro.conf import Positional, arg
+
+from baselines.usage import UsageError, usage_errors
+
+THREAD_VARIABLES = (
+    "OMP_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "VECLIB_MAXIMUM_THREADS",
+    "NUMBA_NUM_THREADS",
+)
+"""One thread each: runs are what is done in parallel, and sums are always taken in one order."""
+
+Environment = Annotated[str, arg(metavar="ID")]
+Progress = Annotated[bool, arg(name="progress")]
+
+
+@dataclass(frozen=True)
+class ListNames:
+    """List what there is: environments, agents or ready-made experiments."""
+
+    what: Positional[Literal["envs", "agents", "experiments"]]
+    """What to list."""
+
+
+@dataclass(frozen=True)
+class Train:
+    """Train one agent in one environment.
+
+    The agent's settings are flags too: `bnprl train ID --agent NAME --help` shows them.
+    """
+
+    id: Positional[Environment]
+    """Environment id, or path of a .POMDP or .dpomdp file."""
+    agent: str
+    """Agent; `bnprl list agents` names them."""
+    out: Path
+    """Folder for the records, the policy and the report."""
+    episodes: int | None = None
+    """Training episodes; give this or --steps."""
+    steps: int | None = None
+    """Environment steps of training; give this or --episodes."""
+    seed: int = 0
+    """Everything random is derived from it."""
+    eval_episodes: int = 1000
+    """Episodes of each evaluation."""
+    eval_points: int = 10
+    """Evaluations, evenly spread over the budget."""
+    tensorboard: bool = False
+    """Write TensorBoard's logs below the folder (Stable-Baselines3's agents)."""
+    progress: Progress = True
+    """Show a progress bar."""
+
+
+@dataclass(frozen=True)
+class Evaluate:
+    """Evaluate learned policies; the exact value too, where the model is known."""
+
+    target: Positional[Path]
+    """Folder that `train` or `compare` wrote, or a policy file."""
+    episodes: int = 1000
+    """Episodes for each policy."""
+    env: str | None = None
+    """Environment id or model file, for a policy file outside such a folder."""
+    seed: int = 0
+    """Everything random is derived from it."""
+    progress: Progress = True
+    """Show a progress bar."""
+
+
+@dataclass(frozen=True)
+class Compare:
+    """Compare agents head to head: equal budgets, several seeds, intervals, one report.
+
+    A command that was interrupted goes on when it is given again; agents and seeds can be added.
+    """
+
+    id: Positional[Environment]
+    """Environment id, or path of a .POMDP or .dpomdp file."""
+    agents: tuple[str, ...]
+    """Agents; `bnprl list agents` names them."""
+    out: Path
+    """Folder for the records, the policies and the report."""
+    episodes: int | None = None
+    """Training episodes of each run; give this or --steps."""
+    steps: int | None = None
+    """Environment steps of each run; give this or --episodes."""
+    seeds: int = 5
+    """Runs of each agent."""
+    seed: int = 0
+    """Root from which the seeds of all runs are derived."""
+    jobs: int | None = None
+    """Runs at the same time; as many as cores if not given."""
+    eval_episodes: int = 1000
+    """Episodes of each evaluation."""
+    eval_points: int = 10
+    """Evaluations of each run, evenly spread over the budget."""
+    engine: Literal["joblib", "ray", "dask"] = "joblib"
+    """What spreads the runs: processes here, or a cluster of Ray or Dask."""
+    tensorboard: bool = False
+    """Write TensorBoard's logs below the folder (Stable-Baselines3's agents)."""
+    progress: Progress = True
+    """Show a progress bar."""
+
+
+@dataclass(frozen=True)
+class Report:
+    """Make the tables, the curves and the page again from the records."""
+
+    folder: Positional[Path]
+    """Folder that `train` or `compare` wrote."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; return the exit code."""
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    if "numpy" not in sys.modules:  # later it would be in vain
+        for variable in THREAD_VARIABLES:
+            os.environ.setdefault(variable, "1")
+    logging.basicConfig(format="bnprl: warning: %(message)s", level=logging.WARNING)
+    try:
+        if given[:1] == ["--version"]:
+            return _version()
+        return _run(_parse(given), given)
+    except UsageError as error:
+        print(f"bnprl: error: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("bnprl: interrupted; the same command resumes", file=sys.stderr)
+        return 130
+
+
+def _version() -> int:
+    import importlib.metadata
+
+    try:
+        print(f"bnprl {importlib.metadata.version('bnprl')}")
+    except importlib.metadata.PackageNotFoundError:
+        print("bnprl (not installed)")
+    return 0
+
+
+def _parse(given: list[str]) -> Any:
+    commands: dict[str, Callable[..., Any]] = {
+        "list": ListNames,
+        "train": _train_with_settings(given) if given[:1] == ["train"] else Train,
+        "evaluate": Evaluate,
+        "compare": Compare,
+        "report": Report,
+    }
+    return tyro.extras.subcommand_cli_from_dict(
+        commands,
+        prog="bnprl",
+        description=(
+            "Reinforcement learning with nonparametric policies: train, evaluate and compare "
+            "agents. Each command has --help; --version shows the version."
+        ),
+        args=given,
+    )
+
+
+def _train_with_settings(given: list[str]) -> type[Train]:
+    """Return `Train` with the settings of the agent that the arguments name."""
+    flags = [*given, ""]
+    names = [flags[i + 1] for i, flag in enumerate(given) if flag == "--agent"]
+    names += [flag.removeprefix("--agent=") for flag in given if flag.startswith("--agent=")]
+    if not names or not names[0]:
+        return Train
+    from baselines.contenders import contender
+
+    with usage_errors():
+        settings = contender(names[0]).settings
+    if not dataclasses.fields(settings):
+        return Train
+    field = dataclasses.field(default=settings)
+    kind = Annotated[type(settings), tyro.conf.OmitArgPrefixes]  # type: ignore[valid-type]
+    made = dataclasses.make_dataclass(
+        "Train", [("settings", kind, field)], bases=(Train,), frozen=True
+    )
+    made.__doc__ = Train.__doc__
+    return made
+
+
+def _run(command: Any, given: list[str]) -> int:
+    from baselines import commands  # imports the packages
+
+    if isinstance(command, ListNames):
+        return commands.list_names(command.what)
+    if isinstance(command, Train):
+        return commands.train(command, given)
+    if isinstance(command, Compare):
+        return commands.compare(command, given)
+    if isinstance(command, Evaluate):
+        return commands.evaluate_policies(command)
+    return commands.report(command.folder)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,146 @@
+"""Policy files: one `.npz` archive of plain arrays and one JSON text.
+
+Nothing in a file is executed, no pickle is read, and the memory that reading takes is bounded.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import math
+import os
+import zipfile
+import zlib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import IO, Any
+
+import gymnasium as gym
+import numpy as np
+import numpy.typing as npt
+
+Arrays = dict[str, npt.NDArray[Any]]
+
+FILE_LIMIT = 2**31
+"""Largest size in bytes of an unpacked policy file."""
+
+_DAMAGE = (
+    ValueError,
+    LookupError,
+    TypeError,
+    AttributeError,
+    EOFError,
+    MemoryError,
+    RuntimeError,
+    zipfile.BadZipFile,
+    zlib.error,
+)
+"""What reading a file that holds something else can raise."""
+
+
+class PolicyFileError(ValueError):
+    """A file that does not hold a policy; the message is one line, `FILE: reason`."""
+
+
+def write_policy(path: str | os.PathLike[str], meta: dict[str, Any], arrays: Arrays) -> None:
+    """Write a policy file, which appears by atomic rename."""
+    text = np.frombuffer(json.dumps(meta).encode(), dtype=np.uint8)
+    target = Path(path)
+    partial = target.with_name(f".{target.name}.{os.getpid()}.partial")
+    try:
+        with partial.open("wb") as file:
+            np.savez_compressed(file, allow_pickle=False, meta=text, **arrays)
+        partial.replace(target)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def read_policy(path: str | os.PathLike[str]) -> tuple[dict[str, Any], Arrays]:
+    """Read the JSON text and the arrays of a policy file.
+
+    Raises:
+        PolicyFileError: the file is no such archive, or unpacks to more than `FILE_LIMIT` bytes.
+        OSError: the file cannot be read.
+    """
+    data = Path(path).read_bytes()
+    with refusing_damage(path):
+        arrays = _read_archive(data)
+        meta = json.loads(arrays.pop("meta").tobytes())
+        if not isinstance(meta, dict):
+            raise ValueError("its description is not a JSON object")
+    return meta, arrays
+
+
+@contextlib.contextmanager
+def refusing_damage(path: str | os.PathLike[str]) -> Iterator[None]:
+    """Turn whatever a damaged file makes its reader raise into one clear error.
+
+    Raises:
+        PolicyFileError: names the file and the reason.
+    """
+    try:
+        yield
+    except PolicyFileError:
+        raise
+    except _DAMAGE as error:
+        reason = (str(error) or type(error).__name__).splitlines()[0]
+        raise PolicyFileError(f"{path}: not a bnprl policy file ({reason})") from error
+
+
+def describe_space(space: Any) -> Any:
+    """Return a Discrete or Box space, or a dict of them, as JSON values.
+
+    Raises:
+        ValueError: another kind of space.
+    """
+    if isinstance(space, Mapping) and not isinstance(space, gym.Space):
+        return {"agents": {name: describe_space(part) for name, part in space.items()}}
+    if isinstance(space, gym.spaces.Discrete):
+        return {"type": "Discrete", "n": int(space.n), "start": int(space.start)}
+    if isinstance(space, gym.spaces.Box):
+        low, high = space.low.tolist(), space.high.tolist()
+        return {"type": "Box", "low": low, "high": high, "dtype": str(space.dtype)}
+    raise ValueError(f"space {space} cannot be saved: Discrete and Box can")
+
+
+def build_space(text: Any) -> Any:
+    """Return the space that `describe_space` described.
+
+    Raises:
+        ValueError: the description is of no such space.
+    """
+    if "agents" in text:
+        return {name: build_space(part) for name, part in text["agents"].items()}
+    if text["type"] == "Discrete":
+        return gym.spaces.Discrete(text["n"], start=text["start"])
+    if text["type"] == "Box":
+        dtype = np.dtype(text["dtype"])
+        low, high = np.array(text["low"], dtype=dtype), np.array(text["high"], dtype=dtype)
+        return gym.spaces.Box(low, high, dtype=dtype.type)
+    raise ValueError(f"unknown space {text['type']!r}")
+
+
+def _read_archive(data: bytes) -> Arrays:
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        size = sum(info.file_size for info in archive.infolist())
+        if size > FILE_LIMIT:
+            raise ValueError(f"unpacks to {size:,} bytes, more than {FILE_LIMIT:,}")
+        for info in archive.infolist():
+            with archive.open(info) as member:
+                _check_header(info, member)
+    with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
+        return {name: arrays[name] for name in arrays.files}
+
+
+def _check_header(info: zipfile.ZipInfo, member: IO[bytes]) -> None:
+    """Refuse an array whose header promises more than its member holds."""
+    version = np.lib.format.read_magic(member)
+    if version == (1, 0):
+        shape, _, dtype = np.lib.format.read_array_header_1_0(member)
+    elif version == (2, 0):
+        shape, _, dtype = np.lib.format.read_array_header_2_0(member)
+    else:
+        raise ValueError(f"array format {version} in {info.filename!r}")
+    if dtype.hasobject or math.prod(shape) * dtype.itemsize > info.file_size:
+        raise ValueError(f"array {info.filename!r} of shape {shape}, {dtype} is not plain data")

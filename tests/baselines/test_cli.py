@@ -1,0 +1,268 @@
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from baselines.cli import main
+from baselines.contenders import CONTENDERS
+from baselines.experiment import Entry
+from baselines.records import RunFiles, folder_lock, read_records
+from baselines.study import open_study
+from tests.baselines.fakes import experiment
+
+ROOT = Path(__file__).parents[2]
+HALLWAY = "bnprl/Hallway-v0"
+SMALL = ["--episodes", "200", "--eval-episodes", "50", "--eval-points", "2", "--no-progress"]
+
+
+def command(*arguments: str, **options: Any) -> subprocess.Popen[str]:
+    """Start the command in a process of its own."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "baselines.cli", *arguments],
+        cwd=ROOT,
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        **options,
+    )
+
+
+def refused(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+    """Run a command that must fail with exit code 2; return its one line without the prefix."""
+    assert main(arguments) == 2
+    shown = capsys.readouterr()
+    assert shown.out == ""
+    assert shown.err.startswith("bnprl: error: ")
+    assert shown.err.count("\n") == 1
+    return shown.err.removeprefix("bnprl: error: ").rstrip("\n")
+
+
+def test_help_imports_nothing_heavy() -> None:
+    code = (
+        "import sys, baselines.cli as cli\n"
+        "try: cli.main(['--help'])\n"
+        "except SystemExit as end: assert end.code == 0\n"
+        "heavy = {'numpy', 'numba', 'scipy', 'matplotlib', 'torch', 'stable_baselines3', 'gymnasium'}\n"
+        "assert not heavy & sys.modules.keys(), heavy & sys.modules.keys()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    for name in ("list", "train", "evaluate", "compare", "report"):
+        assert name in done.stdout
+
+
+def test_version_and_lists(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out.startswith("bnprl ")
+    assert main(["list", "envs"]) == 0
+    assert f"{HALLWAY}  robot" in capsys.readouterr().out
+    assert main(["list", "agents"]) == 0
+    assert {line.split()[0] for line in capsys.readouterr().out.splitlines()} >= {
+        "online-em",
+        "ppo",
+    }
+    assert main(["list", "experiments"]) == 0
+
+
+@pytest.mark.parametrize("agent", list(CONTENDERS))
+def test_every_agents_settings_are_flags(agent: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as end:
+        main(["train", "--agent", agent, "--help"])
+    assert end.value.code == 0
+    shown = capsys.readouterr().out
+    for name in vars(CONTENDERS[agent].settings):
+        assert f"--{name.replace('_', '-')}" in shown
+
+
+def test_train_evaluate_report(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out"
+    train = ["train", HALLWAY, "--agent=online-em", "--nodes", "3", "--seed", "7", *SMALL]
+    assert main([*train, "--out", str(out)]) == 0
+    assert "online-em" in capsys.readouterr().out
+    description = json.loads((out / "experiment.json").read_bytes())
+    assert description["entries"][0]["settings"]["nodes"] == 3
+    assert description["commands"] == [f"bnprl {' '.join([*train, '--out', str(out)])}"]
+    final = RunFiles(out, "online-em", 0).read().lines[-1]
+    assert final.final
+    assert final.exact_value is not None
+
+    assert main(["evaluate", str(out), "--episodes", "500", "--no-progress"]) == 0
+    cells = capsys.readouterr().out.splitlines()[-1].split()
+    assert cells[0] == "online-em"
+    assert float(cells[-1]) == pytest.approx(final.exact_value, abs=1e-3)
+    low, high = float(cells[2]), float(cells[4])
+    assert low < float(cells[1]) < high
+    policy = RunFiles(out, "online-em", 0).policy(".npz")
+    alone = tmp_path / "policy.npz"
+    alone.write_bytes(policy.read_bytes())
+    assert main(["evaluate", str(policy), "--episodes", "500", "--no-progress"]) == 0
+    here = capsys.readouterr().out.splitlines()[-1].split()[1:]
+    assert here == cells[1:]
+    elsewhere = ["evaluate", str(alone), "--env", HALLWAY, "--episodes", "500", "--no-progress"]
+    assert main(elsewhere) == 0
+    assert capsys.readouterr().out.splitlines()[-1].split()[1:] == cells[1:]
+    assert "--env ID" in refused(capsys, "evaluate", str(alone))
+
+    summary = (out / "summary.json").read_bytes()
+    (out / "summary.json").unlink()
+    assert main(["report", str(out)]) == 0
+    assert (out / "summary.json").read_bytes() == summary
+    capsys.readouterr()
+    assert "online-em.nodes is 3 there, 4 here" in refused(
+        capsys, *[part.replace("3", "4") for part in train], "--out", str(out)
+    )
+    with folder_lock(out):
+        assert "another bnprl command" in refused(capsys, *train, "--out", str(out))
+
+
+def test_a_model_file_is_an_environment(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    model = tmp_path / "two.POMDP"
+    model.write_text(
+        "discount: 0.9\nvalues: reward\nstates: 2\nactions: 2\nobservations: 2\nstart: uniform\n"
+        "T: * uniform\nO: * identity\nR: 0 : 0 : * : * 1.0\n"
+    )
+    out = str(tmp_path / "out")
+    assert main(["train", str(model), "--agent", "random", *SMALL, "--out", out]) == 0
+    text = model.read_text()
+    model.write_text(text.replace("uniform\nO", "0.5 0.4\nO").replace("T: *", "T: * : 0"))
+    message = refused(capsys, "train", str(model), "--agent", "random", *SMALL, "--out", out)
+    assert str(model) in message
+    model.write_text(text.replace("states: 2", "states: x y"))
+    model.write_text(text.replace("R: 0", "R: nine"))
+    message = refused(capsys, "train", str(model), "--agent", "random", *SMALL, "--out", out)
+    assert message.startswith(f"{model}:9: ")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        (
+            ["train", "bnprl/Halway-v0", "--agent", "random", *SMALL],
+            "did you mean bnprl/Hallway-v0",
+        ),
+        (["compare", "Hallway", "--agents", "random", *SMALL], "did you mean bnprl/Hallway-v0"),
+        (["train", "no/such.POMDP", "--agent", "random", *SMALL], "no such model file"),
+        (["train", HALLWAY, "--agent", "onlin-em", *SMALL], "did you mean online-em"),
+        (["compare", HALLWAY, "--agents", "random", "pppo", *SMALL], "did you mean ppo"),
+        (["compare", HALLWAY, "--agents", "random", "random", *SMALL], "given twice"),
+        (["train", HALLWAY, "--agent", "random"], "exactly one of --episodes and --steps"),
+        (["train", HALLWAY, "--agent", "random", *SMALL, "--steps", "5"], "exactly one of"),
+        (["train", HALLWAY, "--agent", "random", "--steps", "0"], "--steps: 0"),
+        (["train", HALLWAY, "--agent", "random", "--steps", "5", "--seed", "-1"], "--seed: -1"),
+        (["train", HALLWAY, "--agent", "online-em", "--nodes", "0", *SMALL], "nodes"),
+        (["compare", HALLWAY, "--agents", "random", *SMALL, "--seeds", "0"], "--seeds: 0"),
+        (["compare", HALLWAY, "--agents", "random", *SMALL, "--jobs", "0"], "--jobs: 0"),
+    ],
+)
+def test_bad_arguments_write_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], reason: str
+) -> None:
+    out = tmp_path / "out"
+    assert reason in refused(capsys, *arguments, "--out", str(out))
+    assert not out.exists()
+
+
+def test_what_cannot_be_parsed_exits_2(capsys: pytest.CaptureFixture[str]) -> None:
+    for arguments in (["trian"], ["train"], ["train", HALLWAY, "--steps", "many"], ["list", "x"]):
+        with pytest.raises(SystemExit) as end:
+            main(arguments)
+        assert end.value.code == 2
+    capsys.readouterr()
+
+
+def test_folders_and_files_that_are_not_what_they_should_be(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "file"
+    file.write_text("not a policy")
+    train = ["train", HALLWAY, "--agent", "random", *SMALL, "--out"]
+    assert str(file) in refused(capsys, *train, str(file))
+    assert str(file) in refused(capsys, *train, str(file / "below"))
+    assert f"{file}: not a bnprl policy file" in refused(capsys, "evaluate", str(file))
+    assert "no such file or folder" in refused(capsys, "evaluate", str(tmp_path / "none"))
+    assert "holds no experiment" in refused(capsys, "evaluate", str(tmp_path))
+    assert "holds no experiment" in refused(capsys, "report", str(tmp_path))
+    assert "holds no experiment" in refused(capsys, "report", str(tmp_path / "none"))
+    assert not (tmp_path / "none").exists()
+    assert "--episodes: 0" in refused(capsys, "evaluate", str(tmp_path), "--episodes", "0")
+    study = tmp_path / "study"
+    study.mkdir()
+    open_study(study, experiment(Entry.of("random")), "command")
+    assert "holds no policy yet" in refused(capsys, "evaluate", str(study))
+    damaged = RunFiles(study, "random", 0).records
+    damaged.parent.mkdir(parents=True)
+    damaged.write_bytes(b"{}\n{}\n")
+    assert f"{damaged}:1: " in refused(capsys, "report", str(study))
+    assert damaged.read_bytes() == b"{}\n{}\n"
+    assert "episodes is 100 there, 200 here" in refused(capsys, *train, str(study))
+
+
+COMPARE = ["compare", HALLWAY, "--agents", "online-em", "batch-em", "random", "--seeds", "2"]
+BUDGET = ["--episodes", "600", "--eval-episodes", "100", "--eval-points", "6", "--no-progress"]
+
+
+def summary(out: Path) -> dict[str, Any]:
+    """The summary without wall-clock."""
+    found: dict[str, Any] = json.loads((out / "summary.json").read_bytes())
+    for row in found["rows"]:
+        del row["train_seconds"]
+    return found
+
+
+def lines(out: Path) -> dict[str, int]:
+    """Complete lines of each run so far."""
+    found = sorted((out / "runs").glob("*/*.jsonl"))
+    return {str(path.relative_to(out)): len(read_records(path).lines) for path in found}
+
+
+@pytest.fixture(scope="module")
+def uninterrupted(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    out = tmp_path_factory.mktemp("whole") / "out"
+    assert main([*COMPARE, *BUDGET, "--jobs", "1", "--out", str(out)]) == 0
+    return summary(out)
+
+
+@pytest.mark.parametrize("jobs", ["1", "2"])
+def test_a_killed_comparison_resumes_to_the_same_summary(
+    tmp_path: Path, jobs: str, uninterrupted: dict[str, Any]
+) -> None:
+    out = tmp_path / "out"
+    arguments = [*COMPARE, *BUDGET, "--jobs", jobs, "--out", str(out)]
+    process = command(*arguments)
+    deadline = time.monotonic() + 60
+    while sum(lines(out).values()) < 8 and time.monotonic() < deadline:
+        time.sleep(0.01)
+    process.kill()
+    process.communicate()
+    assert process.returncode == -signal.SIGKILL
+    assert 8 <= sum(lines(out).values()) < 30
+    finished = [path for path in out.glob("runs/*/*.jsonl") if read_records(path).finished]
+    stamps = {path: path.stat().st_mtime_ns for path in finished}
+    again = command(*arguments)
+    shown = again.communicate(timeout=90)
+    assert again.returncode == 0, shown
+    assert summary(out) == uninterrupted
+    assert {path: path.stat().st_mtime_ns for path in finished} == stamps
+    assert len(lines(out)) == 6
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals of a terminal")
+def test_an_interrupt_says_how_to_go_on(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    arguments = [*COMPARE, *BUDGET, "--jobs", "2", "--out", str(out)]
+    process = command(*arguments, start_new_session=True)
+    deadline = time.monotonic() + 60
+    while not sum(lines(out).values()) and time.monotonic() < deadline:
+        time.sleep(0.01)
+    os.killpg(process.pid, signal.SIGINT)  # what a terminal does on Ctrl-C
+    _, shown = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert shown == "bnprl: interrupted; the same command resumes\n"

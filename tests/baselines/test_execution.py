@@ -1,0 +1,226 @@
+from __future__ import annotations
+
+import dataclasses
+import logging
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from baselines.contenders import MissingExtraError
+from baselines.evaluation import EnvironmentSpec
+from baselines.execution import execute
+from baselines.experiment import Entry, Experiment
+from baselines.records import RecordError, RunFiles
+from baselines.study import load_study, open_study
+from tests.baselines.fakes import FakeSettings, experiment, install
+
+
+@pytest.fixture(autouse=True)
+def fake(monkeypatch: pytest.MonkeyPatch) -> None:
+    install(monkeypatch)
+
+
+def run(folder: Path, chosen: Experiment, **options: Any) -> list[RunFiles]:
+    return execute(chosen, folder, progress=False, **options)
+
+
+def values(folder: Path, name: str = "fake", seed: int = 0) -> list[dict[str, Any]]:
+    """The lines of a run without its times."""
+    lines = RunFiles(folder, name, seed).read().lines
+    return [
+        dataclasses.asdict(dataclasses.replace(line, train_seconds=0.0, eval_seconds=0.0))
+        for line in lines
+    ]
+
+
+def test_a_run_is_recorded_at_each_point(tmp_path: Path) -> None:
+    assert run(tmp_path, experiment()) == []
+    lines = RunFiles(tmp_path, "fake", 1).read().lines
+    # updates come every 10 episodes: the first at or past 25, 50, 75, and the end
+    assert [line.episodes for line in lines] == [30, 50, 80, 100]
+    assert [line.steps for line in lines] == [150, 250, 400, 500]
+    assert [line.final for line in lines] == [False, False, False, True]
+    assert [line.seed for line in lines] == [1] * 4
+    assert lines[-1].return_mean == pytest.approx(100, abs=8)
+    assert lines[-1].eval_episodes == 20
+    assert lines[0].metrics.keys() == {"level"}  # JSON has no NaN
+    times = [line.train_seconds for line in lines]
+    assert times == sorted(times)
+    assert RunFiles(tmp_path, "fake", 1).policy(".npz").read_bytes() == b"fake"
+    assert sorted(path.name for path in (tmp_path / "runs" / "fake").iterdir()) == [
+        "0.jsonl",
+        "0.policy.npz",
+        "1.jsonl",
+        "1.policy.npz",
+    ]
+
+
+def test_a_budget_of_steps_counts_steps(tmp_path: Path) -> None:
+    run(tmp_path, experiment(episodes=None, steps=500))
+    assert [line["steps"] for line in values(tmp_path)] == [150, 250, 400, 500]
+
+
+def test_an_update_past_several_points_is_evaluated_once(tmp_path: Path) -> None:
+    run(tmp_path, experiment(Entry.of("fake", FakeSettings(update=60)), episodes=120))
+    assert [line["episodes"] for line in values(tmp_path)] == [60, 120]
+
+
+def test_seeds_are_distinct_and_fixed() -> None:
+    chosen = experiment()
+    seeds = {
+        (name, index): chosen.run_seeds(name, index)[0]
+        for name in ("fake", "other")
+        for index in range(50)
+    }
+    assert len(set(seeds.values())) == 100
+    assert max(seeds.values()) < 2**31
+    assert seeds["fake", 0] == experiment(seeds=9).run_seeds("fake", 0)[0]
+    assert seeds["fake", 0] != experiment(root_seed=1).run_seeds("fake", 0)[0]
+    assert seeds["fake", 0] == 2104907526  # old records can be extended by later versions
+
+
+def test_a_finished_run_is_not_touched_and_an_unfinished_one_is_redone(tmp_path: Path) -> None:
+    run(tmp_path / "whole", experiment())
+    run(tmp_path / "torn", experiment())
+    finished = RunFiles(tmp_path / "torn", "fake", 0).records
+    stamp, text = finished.stat().st_mtime_ns, finished.read_bytes()
+    broken = RunFiles(tmp_path / "torn", "fake", 1).records
+    broken.write_bytes(broken.read_bytes()[:-10])
+    run(tmp_path / "torn", experiment())
+    assert (finished.stat().st_mtime_ns, finished.read_bytes()) == (stamp, text)
+    for seed in (0, 1):
+        assert values(tmp_path / "torn", seed=seed) == values(tmp_path / "whole", seed=seed)
+
+
+def test_a_torn_line_is_cut_off_with_a_warning(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    run(tmp_path, experiment())
+    path = RunFiles(tmp_path, "fake", 0).records
+    text = path.read_bytes()
+    path.write_bytes(text + b'{"contender')
+    with caplog.at_level(logging.WARNING):
+        run(tmp_path, experiment())
+    assert [entry.getMessage() for entry in caplog.records] == [f"{path}:5: torn last line dropped"]
+    assert path.read_bytes() == text
+
+
+def test_damage_is_named_before_anything_runs(tmp_path: Path) -> None:
+    run(tmp_path, experiment(seeds=1))
+    path = RunFiles(tmp_path, "fake", 0).records
+    path.write_bytes(b"{}\n" + path.read_bytes())
+    with pytest.raises(RecordError, match=r"0\.jsonl:1: key .* is missing"):
+        run(tmp_path, experiment(seeds=2))
+    assert not RunFiles(tmp_path, "fake", 1).records.exists()
+
+
+def test_a_failure_does_not_stop_the_others(tmp_path: Path) -> None:
+    entries = (Entry.of("fake", FakeSettings(fail=True), "bad"), Entry.of("fake"))
+    failed = run(tmp_path, experiment(*entries))
+    assert [files.name for files in failed] == ["bad/0", "bad/1"]
+    assert "RuntimeError: the fake fails" in failed[0].error.read_text()
+    assert not failed[0].read().finished
+    assert RunFiles(tmp_path, "fake", 1).read().finished
+    failed[0].records.unlink()
+    mended = (Entry.of("fake", FakeSettings(), "bad"), Entry.of("fake"))
+    assert run(tmp_path, experiment(*mended)) == []
+    assert not failed[0].error.exists()
+
+
+def test_contenders_and_seeds_can_be_added(tmp_path: Path) -> None:
+    more = (Entry.of("fake", FakeSettings(gain=2.0), "better"), Entry.of("fake"))
+    open_study(tmp_path, experiment(seeds=3), "first")
+    study = open_study(tmp_path, experiment(*more, seeds=2), "second")
+    assert [entry.name for entry in study.experiment.entries] == ["fake", "better"]
+    assert study.experiment.seeds == 3
+    assert study.commands == ("first", "second")
+    assert load_study(tmp_path).experiment == study.experiment
+    assert study.experiment.entry("better").build_settings() == FakeSettings(gain=2.0)
+    assert open_study(tmp_path, experiment(), "first").commands == ("first", "second")
+
+
+def test_another_experiment_is_refused_by_the_field_that_differs(tmp_path: Path) -> None:
+    open_study(tmp_path, experiment(), "command")
+    before = (tmp_path / "experiment.json").read_bytes()
+    changed = Entry.of("fake", FakeSettings(gain=3.0))
+    for other, reason in (
+        (experiment(changed), r"fake\.gain is 1\.0 there, 3\.0 here"),
+        (experiment(episodes=200), "episodes is 100 there, 200 here"),
+        (experiment(root_seed=1), "root_seed is 0 there, 1 here"),
+        (experiment(eval_points=5), "eval_points is 4 there, 5 here"),
+        (
+            dataclasses.replace(experiment(), environment=EnvironmentSpec("bnprl/Tag-v0")),
+            'environment is .*"bnprl/Hallway-v0".* there, .*"bnprl/Tag-v0"',
+        ),
+    ):
+        with pytest.raises(ValueError, match=reason):
+            open_study(tmp_path, other, "command")
+    assert (tmp_path / "experiment.json").read_bytes() == before
+
+
+def test_a_changed_model_file_is_another_experiment(tmp_path: Path) -> None:
+    model = tmp_path / "model.POMDP"
+    model.write_text("one")
+    chosen = dataclasses.replace(experiment(), environment=EnvironmentSpec(str(model)))
+    open_study(tmp_path, chosen, "command")
+    model.write_text("two")
+    with pytest.raises(ValueError, match="model_sha256"):
+        open_study(tmp_path, chosen, "command")
+
+
+@pytest.mark.parametrize(
+    "text", [b"", b"[]", b"{}", b'{"environment": 3}', b"\xff", b"[" * 100_000, b'{"entries": []}']
+)
+def test_a_damaged_experiment_is_named(tmp_path: Path, text: bytes) -> None:
+    (tmp_path / "experiment.json").write_bytes(text)
+    with pytest.raises(RecordError, match=r"experiment\.json: not an experiment"):
+        load_study(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"episodes": None}, "exactly one of --episodes and --steps"),
+        ({"steps": 5}, "exactly one of --episodes and --steps"),
+        ({"episodes": 0}, "--episodes: 0"),
+        ({"episodes": None, "steps": -1}, "--steps: -1"),
+        ({"seeds": 0}, "--seeds: 0"),
+        ({"eval_episodes": 0}, "--eval-episodes: 0"),
+        ({"eval_points": -2}, "--eval-points: -2"),
+        ({"root_seed": -1}, "--seed: -1"),
+        ({"seeds": 1.5}, "--seeds: 1.5"),
+    ],
+)
+def test_numbers_out_of_range_are_named(changes: dict[str, Any], reason: str) -> None:
+    with pytest.raises(ValueError, match=reason):
+        experiment(**changes)
+
+
+def test_entries_are_checked() -> None:
+    with pytest.raises(ValueError, match="unknown agent 'fak'; did you mean fake"):
+        Entry("x", "fak", {})
+    with pytest.raises(ValueError, match="unknown setting 'gian'; did you mean gain"):
+        Entry("x", "fake", {"gian": 1.0})
+    with pytest.raises(ValueError, match="agent 'fake' is given twice"):
+        experiment(Entry.of("fake"), Entry.of("fake"))
+
+
+@pytest.mark.parametrize("engine", ["ray", "dask"])
+def test_a_missing_engine_says_what_to_install(
+    tmp_path: Path, engine: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for module in ("ray", "dask", "dask.distributed", "ray.util.joblib"):
+        monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(MissingExtraError, match=rf'pip install "bnprl\[{engine}\]"'):
+        run(tmp_path, experiment(), engine=engine)
+
+
+def test_the_bar_follows_the_records(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    execute(experiment(), tmp_path, progress=True)
+    shown = capsys.readouterr().err
+    assert "2/2 runs" in shown
+    assert "200/200" in shown
+    assert run(tmp_path, experiment()) == []
+    assert capsys.readouterr().err == ""
