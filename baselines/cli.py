@@ -186,10 +186,18 @@ def _train_with_settings(given: list[str]) -> type[Train]:
         settings = contender(names[0]).settings
     if not dataclasses.fields(settings):
         return Train
-    field = dataclasses.field(default=settings)
-    kind = Annotated[type(settings), tyro.conf.OmitArgPrefixes]  # type: ignore[valid-type]
+    lenient = dataclasses.make_dataclass(  # values are checked later, to be refused in one line
+        type(settings).__name__,
+        [],
+        bases=(type(settings),),
+        frozen=True,
+        namespace={"__post_init__": lambda _: None},
+    )
+    lenient.__doc__ = type(settings).__doc__
+    default = dataclasses.field(default=lenient(**vars(settings)))
+    kind = Annotated[lenient, tyro.conf.OmitArgPrefixes]  # type: ignore[valid-type]
     made = dataclasses.make_dataclass(
-        "Train", [("settings", kind, field)], bases=(Train,), frozen=True
+        "Train", [("settings", kind, default)], bases=(Train,), frozen=True
     )
     made.__doc__ = Train.__doc__
     return made

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import importlib
 import math
 import os
@@ -26,6 +27,8 @@ from baselines.records import Record, Records, RunFiles, RunLog, open_log
 from baselines.study import read_runs
 from bnprl_agents.training import Progress
 
+OWNER_SECONDS = 0.2
+"""Time between two looks of a worker at whether its owner lives."""
 ENGINES = ("joblib", "ray", "dask")
 
 
@@ -37,13 +40,13 @@ class Run:
         experiment: what it belongs to.
         files: where its records go.
         tensorboard: folder for TensorBoard's logs, None for none.
-        owner: process that asked for the run.
+        owner: process that asked for the run and without which it must end; None on a cluster.
     """
 
     experiment: Experiment
     files: RunFiles
     tensorboard: Path | None
-    owner: int
+    owner: int | None
 
 
 def execute(
@@ -75,7 +78,7 @@ def execute(
     logs = folder / "tensorboard" if tensorboard else None
     found = read_runs(experiment, folder, repair=True)
     runs = [
-        Run(experiment, files, logs, os.getpid())
+        Run(experiment, files, logs, os.getpid() if engine == "joblib" else None)
         for files in _longest_first(experiment, found)
         if not found[files].finished
     ]
@@ -129,8 +132,8 @@ def _optional(module: str, extra: str) -> Any:
 
 def _attempt(run: Run) -> bool:
     """Do a run in a worker; false if it failed."""
-    if os.getpid() != run.owner and threading.current_thread() is threading.main_thread():
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # the owner hears it and ends the workers
+    if run.owner is not None and os.getpid() != run.owner:
+        _serve(run.owner)
     try:
         run_one(run)
     except Exception:
@@ -139,6 +142,23 @@ def _attempt(run: Run) -> bool:
         return False
     run.files.error.unlink(missing_ok=True)
     return True
+
+
+@functools.cache
+def _serve(owner: int) -> None:
+    """Make this process a worker that leaves interrupts to its owner and ends when that dies.
+
+    Else the workers of a killed command would go on beside those of the next.
+    """
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+    def watch() -> None:
+        while os.getppid() == owner:
+            time.sleep(OWNER_SECONDS)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def run_one(run: Run) -> None:
@@ -169,7 +189,6 @@ class _Course:
         self._log = log
         self._train_seconds = 0.0
         self._eval_seconds = 0.0
-        self._parent = os.getppid()
         points = run.experiment.eval_points
         _, sequence = run.experiment.run_seeds(run.files.contender, run.files.seed)
         self._seeds = [int(seed) for seed in sequence.generate_state(points)]
@@ -183,7 +202,6 @@ class _Course:
         started = time.perf_counter()
         for progress in self._learner.learn(episodes=experiment.episodes, steps=experiment.steps):
             self._train_seconds += time.perf_counter() - started
-            self._stop_if_orphaned()
             metrics = progress.metrics or metrics
             point = getattr(progress, experiment.unit) * points // experiment.budget
             if reached < point < points:
@@ -233,11 +251,6 @@ class _Course:
             partial.replace(target)
         finally:
             partial.unlink(missing_ok=True)
-
-    def _stop_if_orphaned(self) -> None:
-        """End a worker whose owner was killed: the command may already be running again."""
-        if self._parent == self._run.owner and os.getppid() != self._parent:
-            os._exit(1)
 
 
 def _finite(metrics: dict[str, Any]) -> dict[str, float]:

@@ -111,8 +111,9 @@ _NUMBERS = ("episodes", "steps", "seeds", "root_seed", "eval_episodes", "eval_po
 def _merge(folder: Path, values: dict[str, Any], old: Experiment, new: Experiment) -> Experiment:
     """Return the union of two experiments that differ in contenders and seeds only."""
     wanted = new.to_json()
-    for name in wanted.keys() - {"entries", "seeds"}:
-        _check_equal(folder, name, values.get(name), wanted[name])
+    for name, value in wanted.items():
+        if name not in ("entries", "seeds"):
+            _check_equal(folder, name, values.get(name), value)
     known = {entry.name: entry for entry in old.entries}
     for entry in new.entries:
         if entry.name in known:

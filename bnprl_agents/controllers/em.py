@@ -79,11 +79,11 @@ class BatchEMConfig:
 
     nodes: int = 20
     """Nodes of every controller."""
-    batch_episodes: int = 500
+    batch_episodes: int = 300
     """Episodes collected under the current policy for one update, then discarded."""
     outer_iterations: int = 1
     """Recomputations of the rewards on one batch; more than one re-uses it off-policy."""
-    inner_iterations: int = 2
+    inner_iterations: int = 1
     """EM iterations for each recomputation of the rewards."""
     exploration_prior: float = 2.0
     """u1 of the Beta distribution from which a node's exploitation is drawn; larger explores."""
