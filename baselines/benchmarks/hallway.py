@@ -41,8 +41,7 @@ def run(name: str, seed: int, episodes: int = EPISODES) -> Run:
     """Train one learner from one seed and evaluate it."""
     begin = time.perf_counter()
     learner = build_learner(contender(name), HALLWAY, None, seed)
-    for last in learner.learn(episodes=episodes):
-        pass
+    *_, last = learner.learn(episodes=episodes)
     seconds = time.perf_counter() - begin
     found = evaluate(learner.policy, HALLWAY, episodes=EVALUATION_EPISODES, seed=seed)
     assert found.exact is not None
