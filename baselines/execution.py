@@ -174,10 +174,12 @@ def run_one(run: Run) -> None:
         log.restart()
         seed, _ = experiment.run_seeds(entry.name, files.seed)
         logs = run.tensorboard and run.tensorboard / entry.name / str(files.seed)
-        learner = build_learner(
-            entry.learner, experiment.environment, entry.build_settings(), seed, logs
+        build = functools.partial(
+            build_learner, entry.learner, experiment.environment, entry.build_settings(), seed
         )
-        _Course(run, learner, log).follow()
+        if entry.learner.family == "bnprl":
+            next(build().learn(episodes=1))  # compiles, so that the seconds are of learning
+        _Course(run, build(logs), log).follow()
 
 
 class _Course:
