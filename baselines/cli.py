@@ -103,6 +103,8 @@ class Compare:
     """Runs of each agent."""
     seed: int = 0
     """Root from which the seeds of all runs are derived."""
+    set: tuple[str, ...] = ()
+    """Settings that differ from the defaults, as AGENT.FIELD=VALUE: online-em.reward_shift=10."""
     jobs: int | None = None
     """Runs at the same time; as many as cores if not given."""
     eval_episodes: int = 1000

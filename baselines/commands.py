@@ -22,7 +22,7 @@ from baselines.contenders import (
     load_policy,
 )
 from baselines.evaluation import EnvironmentSpec, Evaluation, evaluate
-from baselines.experiment import Entry, Experiment
+from baselines.experiment import Entry, Experiment, configured_entries
 from baselines.records import FolderInUseError, RecordError, RunFiles, folder_lock
 from baselines.report import DASH, number, table, write_report
 from baselines.statistics import mean_interval
@@ -82,7 +82,7 @@ def compare(options: Compare, given: Sequence[str]) -> int:
             raise ValueError(f"--jobs: {options.jobs}, must be at least 1")
         experiment = Experiment(
             environment=_environment(options.id),
-            entries=tuple(Entry.of(name) for name in options.agents),
+            entries=configured_entries(options.agents, options.set),
             episodes=options.episodes,
             steps=options.steps,
             seeds=options.seeds,
@@ -164,9 +164,10 @@ def _name_failures(failed: Sequence[RunFiles]) -> int:
     if not failed:
         return 0
     names = ", ".join(files.name for files in failed)
+    reason = failed[0].error.read_text().strip().splitlines()[-1]
     print(
-        f"bnprl: error: failed: {names}; the first traceback is in {failed[0].error}; "
-        "the same command tries them again",
+        f"bnprl: error: failed: {names} ({reason}); traceback in {failed[0].error}; "
+        "the same command tries again",
         file=sys.stderr,
     )
     return 1

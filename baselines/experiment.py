@@ -7,6 +7,7 @@ import difflib
 import hashlib
 import json
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -71,6 +72,45 @@ class Entry:
             return dataclasses.replace(self.learner.settings, **values)
         except TypeError as error:
             raise ValueError(f"{self.name}: {error}") from error
+
+
+def configured_entries(names: Sequence[str], assignments: Sequence[str]) -> tuple[Entry, ...]:
+    """Take contenders by name, with some settings assigned as AGENT.FIELD=VALUE.
+
+    Raises:
+        ValueError: an assignment is malformed, or names another agent, an unknown setting or a
+            value of another type.
+    """
+    entries = {name: Entry.of(name) for name in names}
+    for text in assignments:
+        path, equals, value = text.partition("=")
+        name, _, field = path.partition(".")
+        if not equals or name not in entries:
+            raise ValueError(
+                f"--set {text}: must be AGENT.FIELD=VALUE, AGENT one of {', '.join(entries)}"
+            )
+        old = entries[name].settings
+        new = Entry(name, name, old | {field: _setting(text, value, old.get(field))})
+        new.build_settings()
+        entries[name] = new
+    if len(entries) < len(names):
+        raise ValueError(f"an agent is given twice: {' '.join(names)}")
+    return tuple(entries.values())
+
+
+def _setting(text: str, value: str, default: Any) -> Any:
+    """Return a setting's value as what its default is: a number, a truth value or a word."""
+    if default is None or isinstance(default, str):
+        return value
+    try:
+        parsed = json.loads(value)
+    except json.JSONDecodeError:
+        parsed = None
+    if isinstance(default, float) and type(parsed) is int:
+        parsed = float(parsed)
+    if type(parsed) is not type(default):
+        raise ValueError(f"--set {text}: {value!r} is no {type(default).__name__}")
+    return parsed
 
 
 @dataclass(frozen=True)

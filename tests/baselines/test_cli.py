@@ -142,6 +142,9 @@ def test_a_model_file_is_an_environment(tmp_path: Path, capsys: pytest.CaptureFi
     assert message.startswith(f"{model}:9: ")
 
 
+EM = ["compare", HALLWAY, "--agents", "online-em", *SMALL]
+
+
 @pytest.mark.parametrize(
     ("arguments", "reason"),
     [
@@ -161,6 +164,10 @@ def test_a_model_file_is_an_environment(tmp_path: Path, capsys: pytest.CaptureFi
         (["train", HALLWAY, "--agent", "online-em", "--nodes", "0", *SMALL], "nodes"),
         (["compare", HALLWAY, "--agents", "random", *SMALL, "--seeds", "0"], "--seeds: 0"),
         (["compare", HALLWAY, "--agents", "random", *SMALL, "--jobs", "0"], "--jobs: 0"),
+        ([*EM, "--set", "nodes=3"], "must be AGENT.FIELD=VALUE, AGENT one of online-em"),
+        ([*EM, "--set", "online-em.noddes=3"], "did you mean nodes"),
+        ([*EM, "--set", "online-em.nodes=many"], "'many' is no int"),
+        ([*EM, "--set", "online-em.nodes=0"], "nodes: 0, must be at least 1"),
     ],
 )
 def test_bad_arguments_write_nothing(

@@ -11,7 +11,7 @@ import pytest
 from baselines.contenders import MissingExtraError
 from baselines.evaluation import EnvironmentSpec
 from baselines.execution import execute
-from baselines.experiment import Entry, Experiment
+from baselines.experiment import Entry, Experiment, configured_entries
 from baselines.records import RecordError, RunFiles
 from baselines.study import load_study, open_study
 from tests.baselines.fakes import FakeSettings, experiment, install
@@ -196,6 +196,13 @@ def test_a_damaged_experiment_is_named(tmp_path: Path, text: bytes) -> None:
 def test_numbers_out_of_range_are_named(changes: dict[str, Any], reason: str) -> None:
     with pytest.raises(ValueError, match=reason):
         experiment(**changes)
+
+
+def test_settings_are_assigned_by_name() -> None:
+    (entry,) = configured_entries(["fake"], ["fake.gain=3"])
+    assert entry.build_settings() == FakeSettings(gain=3.0)
+    with pytest.raises(ValueError, match="given twice"):
+        configured_entries(["fake", "fake"], [])
 
 
 def test_entries_are_checked() -> None:
