@@ -87,6 +87,7 @@ def _draw(
     colour = COLOURS[index % len(COLOURS)]
     style, marker = STYLES[index // 2 % len(STYLES)], MARKERS[index % len(MARKERS)]
     seed = zlib.crc32(f"{experiment.root_seed} {name}".encode())
+    runs = [_newest(run) for run in runs]
     grid, values = _on_one_grid(runs, field)
     mean, low, high = mean_band(values, seed=seed)
     axes.fill_between(grid, low, high, color=colour, alpha=0.18, linewidth=0)
@@ -105,6 +106,11 @@ def _draw(
         markersize=6,
         markevery=_marks(grid, runs, field),
     )
+
+
+def _newest(run: Sequence[Record]) -> list[Record]:
+    """Keep the last of evaluations between which nothing was learned."""
+    return list({record.steps: record for record in run}.values())
 
 
 def _on_one_grid(

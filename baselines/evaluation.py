@@ -218,7 +218,8 @@ def evaluate(
             unless stated: the most probable actions of a controller are another policy.
 
     Raises:
-        ValueError: `episodes` is below 1, or as `EnvironmentSpec.make_vec`.
+        ValueError: `episodes` is below 1, the policy was made for other spaces, or as
+            `EnvironmentSpec.make_vec`.
     """
     if episodes < 1:
         raise ValueError(f"episodes: {episodes}, must be at least 1")
@@ -267,6 +268,7 @@ def _simulate(
         contextlib.closing(environment.make_vec(copies)) as env,
         _drawing_from(policy, rng.spawn(1)[0]),
     ):
+        _check_spaces(policy, env)
         observation, _ = env.reset(seed=int(rng.integers(2**31)))
         while (row < end).any():
             action, state = policy.predict(observation, state, begun, deterministic)
@@ -282,6 +284,14 @@ def _simulate(
                 value[begun], weight[begun], elapsed[begun] = 0.0, 1.0, 0
                 observation, _ = env.reset(options={"reset_mask": begun})
     return Evaluation(returns, lengths)
+
+
+def _check_spaces(policy: Any, env: AnyVectorEnv) -> None:
+    """Refuse a policy that says it was made for other spaces."""
+    for name in ("observation_space", "action_space"):
+        made_for, here = getattr(policy, name, None), getattr(env, f"single_{name}")
+        if made_for is not None and made_for != here:
+            raise ValueError(f"the policy's {name} is {made_for}, the environment's is {here}")
 
 
 @contextlib.contextmanager

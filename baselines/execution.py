@@ -126,7 +126,7 @@ def _optional(module: str, extra: str) -> Any:
         return importlib.import_module(module)
     except ImportError as error:
         raise MissingExtraError(
-            f'{extra} is not installed: pip install "bnprl[{extra}]"'
+            f'{extra} cannot be imported ({error}): pip install "bnprl[{extra}]"'
         ) from error
 
 

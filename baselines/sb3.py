@@ -86,7 +86,7 @@ class SB3Learner:
         if tensorboard is not None:
             outputs.append(TensorBoardOutputFormat(str(tensorboard)))
         self._model.set_logger(Logger(None, outputs))
-        self._policy = SB3Policy(self._model.policy, encoder, int(second))
+        self._policy = SB3Policy(self._model.policy, encoder, *self._spaces, int(second))
         self._used = False
 
     @property

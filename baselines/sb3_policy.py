@@ -55,14 +55,25 @@ class SB3Policy:
     Args:
         policy: the networks.
         encoder: of the environment's observations.
+        observation_space: of the environment.
+        action_space: of the environment.
         seed: of the draws that `predict` makes.
 
     Attributes:
         predict_rng: source of every draw of `predict`.
     """
 
-    def __init__(self, policy: BasePolicy, encoder: Encoder, seed: int = 0) -> None:
+    def __init__(
+        self,
+        policy: BasePolicy,
+        encoder: Encoder,
+        observation_space: gym.Space[Any],
+        action_space: gym.Space[Any],
+        seed: int = 0,
+    ) -> None:
         self.networks = policy
+        self.observation_space = observation_space
+        self.action_space = action_space
         self.predict_rng = np.random.default_rng(seed)
         self._encoder = encoder
 
@@ -144,11 +155,12 @@ def _rebuilt(meta: Any, arrays: dict[str, Array]) -> SB3Policy:
     kind, algorithm, policy_name = named[meta["algorithm"]]
     settings = kind(**meta["settings"])
     observation_space = build_space(meta["observation_space"])
+    action_space = build_space(meta["action_space"])
     _check_size(settings, observation_space, sum(array.size for array in arrays.values()))
     encoder = Encoder(observation_space, settings.frame_stack)
     networks = algorithm.policy_aliases[policy_name](
         encoder.space,
-        build_space(meta["action_space"]),
+        action_space,
         lambda _: 0.0,
         **policy_keywords(settings),
     )
@@ -157,7 +169,7 @@ def _rebuilt(meta: Any, arrays: dict[str, Array]) -> SB3Policy:
         for name, array in arrays.items()
     }
     networks.load_state_dict(weights)
-    return SB3Policy(networks, encoder)
+    return SB3Policy(networks, encoder, observation_space, action_space)
 
 
 def _check_size(settings: SB3Settings, space: gym.Space[Any], n_weights: int) -> None:

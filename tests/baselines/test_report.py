@@ -181,6 +181,7 @@ def test_the_curves_show_every_finished_contender(monkeypatch: pytest.MonkeyPatc
         record(episodes=e, steps=5 * e, train_seconds=e / 100, return_mean=e / 10, final=e == 40)
         for e in (10, 20, 40)
     ]
+    curve.insert(2, record(steps=200, return_mean=99.0, final=False))  # the same policy, again
     other = [record(steps=200, train_seconds=99.0, return_mean=9.0)]
     chosen = experiment(Entry.of("fake"), Entry.of("fake", FakeSettings(), "once"))
     curves = {"fake": [curve, curve], "once": [other], "none": []}

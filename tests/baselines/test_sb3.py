@@ -243,6 +243,12 @@ def test_saved_policy_predicts_what_the_learned_one_does(settings: Any, tmp_path
     assert (ours.lengths == theirs.lengths).all()
 
 
+def test_a_policy_is_refused_in_an_environment_of_other_spaces() -> None:
+    learner = SB3Learner(CORRIDOR, TINY[1], seed=2)
+    with pytest.raises(ValueError, match="the policy's observation_space is Discrete"):
+        evaluate(learner.policy, EnvironmentSpec("bnprl/Hallway-v0"), episodes=2, seed=0)
+
+
 def test_damaged_policy_files_are_refused(tmp_path: Any) -> None:
     learner = SB3Learner(CORRIDOR, TINY[1], seed=2)
     path = tmp_path / "policy.npz"
