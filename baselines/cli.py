@@ -127,6 +127,22 @@ class Report:
     """Folder that `train` or `compare` wrote."""
 
 
+@dataclass(frozen=True)
+class Bounds:
+    """Compute how good an answer can be: simple policies, upper and lower bounds of the optimum."""
+
+    id: Positional[Environment]
+    """Environment id, or path of a .POMDP or .dpomdp file."""
+    seconds: float = 10.0
+    """Time for each search: the point-based bound and each kind of memoryless policy."""
+    discount: float | None = None
+    """Factor of the returns, below 1; the model's own if not given."""
+    seed: int = 0
+    """Everything random is derived from it."""
+    progress: Progress = True
+    """Show a progress bar."""
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit code."""
     given = list(sys.argv[1:] if arguments is None else arguments)
@@ -163,6 +179,7 @@ def _parse(given: list[str]) -> Any:
         "evaluate": Evaluate,
         "compare": Compare,
         "report": Report,
+        "bounds": Bounds,
     }
     return tyro.extras.subcommand_cli_from_dict(
         commands,
@@ -206,6 +223,10 @@ def _train_with_settings(given: list[str]) -> type[Train]:
 
 
 def _run(command: Any, given: list[str]) -> int:
+    if isinstance(command, Bounds):
+        from baselines.bounds import print_bounds
+
+        return print_bounds(command)
     from baselines import commands  # imports the packages
 
     if isinstance(command, ListNames):

@@ -106,7 +106,7 @@ def _environment(id: str) -> EnvironmentSpec:
         OSError: the model file cannot be read.
     """
     environment = EnvironmentSpec(id)
-    environment.model()
+    environment.make_vec(1).close()
     _ = environment.horizon, environment.discount
     return environment
 

@@ -70,6 +70,11 @@ class EnvironmentSpec:
                 the keywords, or it has several agents.
             OSError: the model file cannot be read.
         """
+        entry = None if self._is_file() else self._entry()
+        if entry is not None and entry.kind.startswith("parallel"):
+            raise ValueError(
+                f"{self.id} has several agents; training and comparing serve one agent so far"
+            )
         model = self.model()
         if model is not None:
             from bnprl_envs.tabular_vector import TabularVectorEnv  # imports numba

@@ -1,9 +1,11 @@
 """Environments for reinforcement learning, exact where the model is known.
 
-Importing this package registers every id of `bnprl_envs.registry` with Gymnasium:
-`gym.make("bnprl/Hallway-v0")`, `gym.make_vec("bnprl/Hallway-v0", num_envs=64)`.
+Importing this package registers every id of `bnprl_envs.registry` with Gymnasium or PettingZoo:
+`gym.make("bnprl/Hallway-v0")`, `gym.make_vec("bnprl/Hallway-v0", num_envs=64)`,
+`pettingzoo.make("parallel", "bnprl/DecTiger-v0")`.
 """
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from bnprl_envs.model import Names, TabularModel
@@ -12,27 +14,51 @@ from bnprl_envs.registry import entry, environment_ids, model, register_environm
 from bnprl_envs.tabular import TabularEnv
 
 if TYPE_CHECKING:
+    from bnprl_envs.grid_traffic import GridTraffic, GridTrafficBatch, longer_queue
+    from bnprl_envs.inverted_pendulum import InvertedPendulumEnv, InvertedPendulumVectorEnv
+    from bnprl_envs.puddle_world import PuddleWorldEnv, PuddleWorldVectorEnv
+    from bnprl_envs.tabular_parallel import TabularParallelBatch, TabularParallelEnv
     from bnprl_envs.tabular_vector import TabularVectorEnv
 
 __all__ = [
+    "GridTraffic",
+    "GridTrafficBatch",
+    "InvertedPendulumEnv",
+    "InvertedPendulumVectorEnv",
     "ModelFileError",
     "Names",
+    "PuddleWorldEnv",
+    "PuddleWorldVectorEnv",
     "TabularEnv",
     "TabularModel",
+    "TabularParallelBatch",
+    "TabularParallelEnv",
     "TabularVectorEnv",
     "entry",
     "environment_ids",
+    "longer_queue",
     "model",
     "read_model",
     "write_model",
 ]
 
+_LAZY = {  # name -> module, imported on request: numba takes longer than all the rest
+    "GridTraffic": "grid_traffic",
+    "GridTrafficBatch": "grid_traffic",
+    "InvertedPendulumEnv": "inverted_pendulum",
+    "InvertedPendulumVectorEnv": "inverted_pendulum",
+    "PuddleWorldEnv": "puddle_world",
+    "PuddleWorldVectorEnv": "puddle_world",
+    "TabularParallelBatch": "tabular_parallel",
+    "TabularParallelEnv": "tabular_parallel",
+    "TabularVectorEnv": "tabular_vector",
+    "longer_queue": "grid_traffic",
+}
+
 register_environments()
 
 
 def __getattr__(name: str) -> Any:
-    if name == "TabularVectorEnv":  # imports numba, which takes longer than all the rest
-        from bnprl_envs.tabular_vector import TabularVectorEnv
-
-        return TabularVectorEnv
+    if name in _LAZY:
+        return getattr(import_module(f"bnprl_envs.{_LAZY[name]}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

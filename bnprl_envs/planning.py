@@ -1,8 +1,18 @@
-"""Exact tools on a model."""
+"""Exact tools on a model: belief update, values, and bounds of the optimum by linear algebra.
+
+Values are expected discounted returns over an infinite horizon unless a horizon is given. A
+model of many agents counts as one agent that chooses the joint action and sees the joint
+observation; its bounds hold for the decentralised problem too, whose optimum is not above.
+Lower bounds by points are in `bnprl_envs.point_based`, memoryless policies in
+`bnprl_envs.memoryless`.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
+import numpy.typing as npt
 from scipy.sparse import csr_array, eye_array, kron
 
 from bnprl_envs.model import TabularModel
@@ -10,6 +20,46 @@ from bnprl_envs.tables import FloatArray
 
 TOLERANCE = 1e-10
 """Largest error of a value, but for the rounding of double precision."""
+
+
+def belief_update(
+    model: TabularModel, belief: npt.ArrayLike, action: int, observation: int
+) -> tuple[FloatArray, float]:
+    """Return the belief after an action and what was seen then, and how likely that was.
+
+    b'(s') = O(a, s', o) sum_s b(s) T(a, s, s') / p, where p = p(o | b, a) (Kaelbling, Littman
+    and Cassandra 1998, section 3.3). That an episode goes on is no evidence here: terminal
+    states keep their share, which is worth 0 under every policy.
+
+    Args:
+        model: one agent or many.
+        belief: (S,) distribution of the state.
+        action: joint action in [0, A).
+        observation: joint observation in [0, O).
+
+    Returns:
+        b' (S,) and p.
+
+    Raises:
+        ValueError: an argument is out of range, or the observation is impossible.
+    """
+    before = np.asarray(belief, dtype=np.float64)
+    if before.shape != (model.n_states,):
+        raise ValueError(f"belief: shape {before.shape}, must be ({model.n_states},)")
+    if not (before >= 0).all() or abs(before.sum() - 1) > 1e-6:
+        raise ValueError(f"belief: sums to {before.sum():.9g}, must be a distribution")
+    if not 0 <= action < model.n_actions:
+        raise ValueError(f"action: {action}, must lie in [0, {model.n_actions})")
+    if not 0 <= observation < model.n_observations:
+        raise ValueError(f"observation: {observation}, must lie in [0, {model.n_observations})")
+    seen = _rows_of(model.observation_rows, model, action)[:, [observation]].toarray().ravel()
+    joint = seen * (before @ _rows_of(model.transition_rows, model, action))
+    probability = float(joint.sum())
+    if probability == 0.0:
+        raise ValueError(
+            f"observation: {observation} is impossible after action {action} from this belief"
+        )
+    return joint / probability, probability
 
 
 def random_value(model: TabularModel, discount: float | None = None) -> float:
@@ -22,15 +72,51 @@ def random_value(model: TabularModel, discount: float | None = None) -> float:
     Raises:
         ValueError: the discount is not below 1.
     """
-    uniform = csr_array(np.full((1, model.n_actions), 1.0 / model.n_actions))
-    mean_rows = csr_array(kron(uniform, eye_array(model.n_states)) @ model.transition_rows)
-    mean_reward = model.expected_reward.mean(axis=0, keepdims=True)
-    values = optimal_value(mean_rows, mean_reward, _below_one(model, discount))
+    values = optimal_value(*_uniform_tables(model), infinite_horizon_discount(model, discount))
     return float(model.start @ values)
+
+
+def blind_vectors(model: TabularModel, discount: float | None = None) -> FloatArray:
+    """Return the value of taking one action for ever, from every state.
+
+    v_a = r_a + discount P_a v_a: lower bounds of the optimum (Hauskrecht 2000, section 4.5).
+
+    Args:
+        model: one agent or many.
+        discount: instead of the model's.
+
+    Returns:
+        (A, S).
+
+    Raises:
+        ValueError: the discount is not below 1.
+    """
+    chosen = infinite_horizon_discount(model, discount)
+    return np.stack(
+        [
+            optimal_value(_rows_of(model.transition_rows, model, action), reward[None], chosen)
+            for action, reward in enumerate(model.expected_reward)
+        ]
+    )
+
+
+def blind_values(model: TabularModel, discount: float | None = None) -> FloatArray:
+    """Return the value at the start of taking each action for ever (A,).
+
+    Args:
+        model: one agent or many (joint actions).
+        discount: instead of the model's.
+
+    Raises:
+        ValueError: the discount is not below 1.
+    """
+    return np.asarray(blind_vectors(model, discount) @ model.start)
 
 
 def mdp_value(model: TabularModel, discount: float | None = None) -> FloatArray:
     """Return the optimal value of every state (S,) if the state were observed.
+
+    An upper bound; of many agents, the "MMDP" bound.
 
     Args:
         model: one agent or many (as one agent that chooses the joint action).
@@ -39,15 +125,85 @@ def mdp_value(model: TabularModel, discount: float | None = None) -> FloatArray:
     Raises:
         ValueError: the discount is not below 1.
     """
-    return optimal_value(model.transition_rows, model.expected_reward, _below_one(model, discount))
+    chosen = infinite_horizon_discount(model, discount)
+    return optimal_value(model.transition_rows, model.expected_reward, chosen)
+
+
+def q_mdp(model: TabularModel, discount: float | None = None) -> FloatArray:
+    """Return the value of every action if the state were observed from the next step on.
+
+    The QMDP upper bound of a belief b is max_a b . Q_a (Littman, Cassandra and Kaelbling 1995).
+
+    Args:
+        model: one agent or many.
+        discount: instead of the model's.
+
+    Returns:
+        (A, S).
+
+    Raises:
+        ValueError: the discount is not below 1.
+    """
+    chosen = infinite_horizon_discount(model, discount)
+    return _action_values(
+        model.transition_rows, model.expected_reward, chosen, mdp_value(model, chosen)
+    )
+
+
+def fib(model: TabularModel, discount: float | None = None) -> FloatArray:
+    """Return the vectors of the fast informed bound.
+
+    f(a, s) = r(a, s) + discount sum_o max_a' sum_s' T(a, s, s') O(a, s', o) f(a', s'); the upper
+    bound of a belief b is max_a b . f_a, not above QMDP's (Hauskrecht 2000, section 4.2).
+
+    Args:
+        model: one agent or many.
+        discount: instead of the model's.
+
+    Returns:
+        (A, S).
+
+    Raises:
+        ValueError: the discount is not below 1.
+    """
+    from bnprl_envs.backups import fib_backup, model_rows  # numba: imported where it is needed
+
+    chosen = infinite_horizon_discount(model, discount)
+    rows = model_rows(model)
+    return fixed_point(
+        lambda vectors: fib_backup(rows, chosen, vectors), model.expected_reward, chosen
+    )
+
+
+def finite_horizon_value(
+    model: TabularModel, horizon: int, *, uniform: bool = False, discount: float = 1.0
+) -> FloatArray:
+    """Return the value of every state (S,) with `horizon` steps to go.
+
+    Args:
+        model: one agent or many.
+        horizon: steps, at least 0.
+        uniform: of uniformly random actions, instead of the optimum if the state were observed.
+        discount: factor in [0, 1]; the model's is not used.
+
+    Raises:
+        ValueError: the horizon or the discount is out of range.
+    """
+    if horizon < 0:
+        raise ValueError(f"horizon: {horizon}, must be at least 0")
+    if not 0.0 <= discount <= 1.0:
+        raise ValueError(f"discount: {discount}, must lie in [0, 1]")
+    rows, reward = (
+        _uniform_tables(model) if uniform else (model.transition_rows, model.expected_reward)
+    )
+    value = np.zeros(model.n_states)
+    for _ in range(horizon):
+        value = _action_values(rows, reward, discount, value).max(axis=0)
+    return value
 
 
 def optimal_value(rows: csr_array, reward: FloatArray, discount: float) -> FloatArray:
     """Solve v = max_a (r_a + discount P_a v) by value iteration.
-
-    After a sweep v' = L v the solution lies between v' + c min(v' - v) and v' + c max(v' - v)
-    with c = discount / (1 - discount) (Puterman 1994, Theorem 6.6.3), which bounds the error
-    and gives the last correction. Needs memory for the rows alone.
 
     Args:
         rows: sparse (A * S, S) transition rows.
@@ -57,10 +213,33 @@ def optimal_value(rows: csr_array, reward: FloatArray, discount: float) -> Float
     Returns:
         (S,) values, each within `TOLERANCE` or a few roundings.
     """
+    return fixed_point(
+        lambda value: _action_values(rows, reward, discount, value).max(axis=0),
+        np.zeros(rows.shape[1]),
+        discount,
+    )
+
+
+def fixed_point(
+    backup: Callable[[FloatArray], FloatArray], value: FloatArray, discount: float
+) -> FloatArray:
+    """Solve v = L v for a monotone L with L(v + c) = L v + discount c.
+
+    After a sweep v' = L v the solution lies between v' + c min(v' - v) and v' + c max(v' - v)
+    with c = discount / (1 - discount) (Puterman 1994, Theorem 6.6.3), which bounds the error
+    and gives the last correction. Needs memory for the values alone.
+
+    Args:
+        backup: L.
+        value: where to begin.
+        discount: in [0, 1).
+
+    Returns:
+        The values, each within `TOLERANCE` or a few roundings.
+    """
     scale = discount / (1.0 - discount)
-    value = np.zeros(rows.shape[1])
     while True:
-        swept = (reward + discount * (rows @ value).reshape(reward.shape)).max(axis=0)
+        swept = backup(value)
         change = swept - value
         low, high = scale * change.min(), scale * change.max()
         rounding = 8 * np.finfo(np.float64).eps * np.abs(swept).max() * scale
@@ -69,8 +248,32 @@ def optimal_value(rows: csr_array, reward: FloatArray, discount: float) -> Float
             return np.asarray(value + (low + high) / 2)
 
 
-def _below_one(model: TabularModel, discount: float | None) -> float:
+def infinite_horizon_discount(model: TabularModel, discount: float | None) -> float:
+    """Return the discount, the model's if none is given.
+
+    Raises:
+        ValueError: it is not in [0, 1).
+    """
     chosen = model.discount if discount is None else discount
     if not 0.0 <= chosen < 1.0:
         raise ValueError(f"discount: {chosen}, an infinite horizon needs one in [0, 1)")
     return chosen
+
+
+def _rows_of(rows: csr_array, model: TabularModel, action: int) -> csr_array:
+    """Return the S rows of one action."""
+    return rows[action * model.n_states : (action + 1) * model.n_states]
+
+
+def _action_values(
+    rows: csr_array, reward: FloatArray, discount: float, value: FloatArray
+) -> FloatArray:
+    """r_a + discount P_a v: (A, S)."""
+    return np.asarray(reward + discount * (rows @ value).reshape(reward.shape))
+
+
+def _uniform_tables(model: TabularModel) -> tuple[csr_array, FloatArray]:
+    """Return the rows (S, S) and the rewards (1, S) of uniformly random actions."""
+    uniform = csr_array(np.full((1, model.n_actions), 1.0 / model.n_actions))
+    mean_rows = csr_array(kron(uniform, eye_array(model.n_states)) @ model.transition_rows)
+    return mean_rows, model.expected_reward.mean(axis=0, keepdims=True)

@@ -6,7 +6,6 @@ import math
 from array import array
 from bisect import bisect_right
 from itertools import accumulate, pairwise
-from operator import index
 from typing import Any, NamedTuple
 from weakref import WeakKeyDictionary
 
@@ -17,6 +16,7 @@ from gymnasium.spaces import Discrete
 from scipy.sparse import csr_array
 
 from bnprl_envs import registry
+from bnprl_envs.arguments import check_render_mode, checked_action, checked_limit
 from bnprl_envs.model import TabularModel
 
 _BLOCK = 1024
@@ -120,12 +120,7 @@ class TabularEnv(gym.Env[Any, Any]):
         if not self._running:
             raise ResetNeeded("step() needs a running episode: call reset() first")
         tables = self._tables
-        try:
-            joint = index(action)
-        except TypeError:
-            joint = -1
-        if not 0 <= joint < tables.n_actions:
-            raise ValueError(f"action {action!r} is not an integer in [0, {tables.n_actions - 1}]")
+        joint = checked_action(action, tables.n_actions)
         uniforms = self._uniforms
         if len(uniforms) < 2:
             self._draw_uniforms()
@@ -149,6 +144,20 @@ class TabularEnv(gym.Env[Any, Any]):
         self._uniforms[:] = self.np_random.random(_BLOCK).tolist()
 
 
+def resolved_model(model: TabularModel | str, arguments: dict[str, Any]) -> TabularModel:
+    """Return the model that a view was given, by itself or by id.
+
+    Raises:
+        ValueError: the id is unknown, or an argument is out of range.
+        TypeError: arguments come with a finished model.
+    """
+    if isinstance(model, str):
+        return registry.model(model, **arguments)
+    if arguments:
+        raise TypeError(f"unexpected arguments {sorted(arguments)}: they need the id of a model")
+    return model
+
+
 def single_agent_model(model: TabularModel | str, arguments: dict[str, Any]) -> TabularModel:
     """Return the model that a view of one agent was given, by itself or by id.
 
@@ -156,10 +165,7 @@ def single_agent_model(model: TabularModel | str, arguments: dict[str, Any]) -> 
         ValueError: the model cannot be simulated as one agent's episodes.
         TypeError: arguments come with a finished model.
     """
-    if isinstance(model, str):
-        model = registry.model(model, **arguments)
-    elif arguments:
-        raise TypeError(f"unexpected arguments {sorted(arguments)}: they need the id of a model")
+    model = resolved_model(model, arguments)
     if model.n_agents != 1:
         raise ValueError(f"the model has {model.n_agents} agents: use the parallel view")
     if (model.start[model.terminal] > 0).any():
@@ -175,27 +181,6 @@ def single_agent_spaces(model: TabularModel) -> tuple[Discrete, Discrete]:
     """Return the action space and the observation space (with the null observation, if any)."""
     null = 0 if model.fully_observed else 1
     return Discrete(model.n_actions), Discrete(model.n_observations + null)
-
-
-def checked_limit(max_episode_steps: int | None) -> int | None:
-    """Return the limit.
-
-    Raises:
-        ValueError: it is below 1.
-    """
-    if max_episode_steps is not None and max_episode_steps < 1:
-        raise ValueError(f"max_episode_steps: {max_episode_steps}, must be at least 1")
-    return max_episode_steps
-
-
-def check_render_mode(render_mode: str | None) -> None:
-    """Check the mode; none is supported.
-
-    Raises:
-        ValueError: it is not None.
-    """
-    if render_mode is not None:
-        raise ValueError(f"render_mode: {render_mode!r}, must be None")
 
 
 class Rows(NamedTuple):

@@ -1,4 +1,4 @@
-"""Hallway (Littman, Cassandra and Kaelbling 1995): a robot in an office corridor."""
+"""Hallway and Hallway2 (Littman, Cassandra and Kaelbling 1995): a robot in office corridors."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from bnprl_envs.benchmarks.mazes import maze_model
 from bnprl_envs.model import Names, TabularModel
 from bnprl_envs.tables import FloatArray
 
@@ -35,6 +36,13 @@ _LAYOUT = (
     "  * * * +  ",
 )
 _LANDMARKS = {(2, SOUTH): 16, (4, SOUTH): 17, (6, SOUTH): 18, (8, SOUTH): 19}
+_LAYOUT_2 = (
+    " ***** ",
+    "** * **",
+    " * * * ",
+    "** * *+",
+    " ***** ",
+)
 
 
 def hallway(resetting: bool = False) -> TabularModel:
@@ -80,8 +88,62 @@ def hallway(resetting: bool = False) -> TabularModel:
 
     Returns:
         The model: S = 60, A = 5, O = 21, discount .95.
+
+    Raises:
+        ValueError: `resetting` is neither True nor False.
     """
     return corridor_model(_LAYOUT, landmarks=_LANDMARKS, n_observations=21, resetting=resetting)
+
+
+def hallway2(resetting: bool = False) -> TabularModel:
+    """Hallway2: a larger building than Hallway, and no landmarks.
+
+    ## Description
+    Twenty-three cells: a ring of corridors, one corridor across it from north to south, and
+    four dead ends, two to the west and two to the east, of which the south-eastern one is the
+    goal. The robot does not know where it starts nor which way it faces, and the building is
+    symmetric but for the goal. The state is the cell and the orientation,
+    `4 * cell + orientation` (north, east, south, west).
+
+    ## Action Space
+    `Discrete(5)`: 0 stay, 1 forward, 2 turn right, 3 turn around, 4 turn left. All but 0 are
+    noisy: forward succeeds with probability .8, a quarter turn with .7, turning around with .6.
+
+    ## Observation Space
+    `Discrete(18)`: 0 to 15 are the walls seen (8 front + 4 right + 2 back + 1 left), each by a
+    sensor that sees a wall with probability .9 and imagines one with .05; 16 is the goal; 17 is
+    the null observation that `reset` returns.
+
+    ## Rewards
+    1 on entering the goal, else 0.
+
+    ## Starting State
+    Uniform over the 88 states outside the goal.
+
+    ## Episode End
+    Termination on entering the goal; truncation after 251 steps.
+
+    ## Arguments
+    `resetting=False`: with True nothing terminates; the goal sends the robot back to the start
+    distribution whatever it does, as in the published model file.
+
+    ## References
+    Littman, Cassandra and Kaelbling (1995), Learning policies for partially observable
+    environments: scaling up, ICML.
+
+    ## Version History
+    v0: initial version.
+
+    Args:
+        resetting: the continuing form.
+
+    Returns:
+        The model: S = 92, A = 5, O = 17, discount .95.
+
+    Raises:
+        ValueError: `resetting` is neither True nor False.
+    """
+    return corridor_model(_LAYOUT_2, landmarks={}, n_observations=17, resetting=resetting)
 
 
 def corridor_model(
@@ -99,6 +161,9 @@ def corridor_model(
         landmarks: (cell, orientation) -> the observation that is certain there.
         n_observations: O; the last one is the goal.
         resetting: whether the goal restarts (else it is terminal).
+
+    Raises:
+        ValueError: `resetting` is neither True nor False.
     """
     cells = [
         (row, column)
@@ -109,27 +174,23 @@ def corridor_model(
     number = {cell: k for k, cell in enumerate(cells)}
     neighbour = [[number.get((r + dr, c + dc)) for dr, dc in _STEP] for r, c in cells]
     in_goal = np.repeat([layout[r][c] == "+" for r, c in cells], 4)
-    start = ~in_goal / np.count_nonzero(~in_goal)
 
-    transition = np.stack([_transition(action, neighbour) for action in ACTIONS])
-    transition[:, in_goal] = start if resetting else np.eye(in_goal.size)[in_goal]
     observation = np.zeros((in_goal.size, n_observations))
     observation[:, :16] = [_wall_sensors(walls) for walls in _relative_walls(neighbour)]
     for (cell, facing), landmark in landmarks.items():
         observation[4 * cell + facing] = np.eye(n_observations)[landmark]
     observation[in_goal] = np.eye(n_observations)[-1]
-    return TabularModel(
-        transition,
-        np.broadcast_to(observation, (len(ACTIONS), *observation.shape)),
-        (~in_goal[:, None] & in_goal)[None, :, :, None],
-        start,
+    return maze_model(
+        [_moves(action, neighbour) for action in ACTIONS],
+        observation,
+        in_goal,
         discount=0.95,
-        terminal=None if resetting else in_goal,
+        resetting=resetting,
         names=_names(len(cells), n_observations),
     )
 
 
-def _transition(action: str, neighbour: Sequence[Sequence[int | None]]) -> FloatArray:
+def _moves(action: str, neighbour: Sequence[Sequence[int | None]]) -> FloatArray:
     """Return (S, S) end states of one action, the goal treated as any cell."""
     chances = np.zeros((4 * len(neighbour), 4 * len(neighbour)))
     for cell, facing in itertools.product(range(len(neighbour)), range(4)):

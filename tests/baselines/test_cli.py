@@ -63,7 +63,7 @@ def test_version_and_lists(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--version"]) == 0
     assert capsys.readouterr().out.startswith("bnprl ")
     assert main(["list", "envs"]) == 0
-    assert f"{HALLWAY}  robot" in capsys.readouterr().out
+    assert [HALLWAY, "robot"] in [line.split()[:2] for line in capsys.readouterr().out.splitlines()]
     assert main(["list", "agents"]) == 0
     assert {line.split()[0] for line in capsys.readouterr().out.splitlines()} >= {
         "online-em",
@@ -153,6 +153,8 @@ EM = ["compare", HALLWAY, "--agents", "online-em", *SMALL]
             "did you mean bnprl/Hallway-v0",
         ),
         (["compare", "Hallway", "--agents", "random", *SMALL], "did you mean bnprl/Hallway-v0"),
+        (["compare", "bnprl/DecTiger-v0", "--agents", "ppo", *SMALL], "has several agents"),
+        (["train", "bnprl/GridTraffic-v0", "--agent", "random", *SMALL], "has several agents"),
         (["train", "no/such.POMDP", "--agent", "random", *SMALL], "no such model file"),
         (["train", HALLWAY, "--agent", "onlin-em", *SMALL], "did you mean online-em"),
         (["compare", HALLWAY, "--agents", "random", "pppo", *SMALL], "did you mean ppo"),

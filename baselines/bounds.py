@@ -1,0 +1,192 @@
+"""`bnprl bounds`: how good an answer can be, computed from the model."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from tqdm import tqdm
+
+from baselines.evaluation import EnvironmentSpec
+from baselines.report import DASH, REFERENCE_NAMES, number
+from baselines.usage import usage_errors
+from bnprl_envs import memoryless, planning, registry
+from bnprl_envs.model import TabularModel
+
+if TYPE_CHECKING:
+    from baselines.cli import Bounds
+
+Progress = Callable[[float, float], None]
+"""Called with the seconds used and the best value so far."""
+
+_TIMED = "{desc} {percentage:3.0f}%|{bar}| {n:.0f}/{total:g} s{postfix}"
+
+
+@dataclass(frozen=True)
+class Line:
+    """One value to compute.
+
+    Attributes:
+        name: what it is the value of.
+        kind: how it relates to the optimum.
+        reference: name of the registry's value to show beside it; "" for none.
+        compute: returns the value.
+        timed: whether it takes the seconds given.
+    """
+
+    name: str
+    kind: str
+    reference: str
+    compute: Callable[[Progress], float]
+    timed: bool = False
+
+
+def print_bounds(options: Bounds) -> int:
+    """Compute the values of an environment or model file and print them as a table."""
+    with usage_errors():
+        if not 0.0 < options.seconds < math.inf:
+            raise ValueError(f"--seconds: {options.seconds}, must be over 0 and finite")
+        if options.seed < 0:
+            raise ValueError(f"--seed: {options.seed}, must be at least 0")
+        given = {} if options.discount is None else {"discount": options.discount}
+        environment = EnvironmentSpec(options.id, given)
+        model = _solvable(environment)
+    values = {
+        line: _compute(line, options)
+        for line in (*exact_lines(model), *search_lines(model, options.seconds, options.seed))
+    }
+    print(f"{environment.id}: expected discounted return, discount {model.discount:g}")
+    _print_table(_table(values, _references(environment, model)))
+    return 0
+
+
+def exact_lines(model: TabularModel) -> list[Line]:
+    """Return what is computed to the end: simple policies and upper bounds."""
+    start = model.start
+    one = model.n_agents == 1
+    lines = [
+        Line("random", "policy", "random", lambda _: planning.random_value(model)),
+        Line("best blind action", "policy", "", lambda _: planning.blind_values(model).max()),
+        Line(
+            "MDP" if one else "MMDP",
+            "exact" if model.fully_observed else "upper bound",
+            "upper" if model.fully_observed else "",
+            lambda _: float(start @ planning.mdp_value(model)),
+        ),
+    ]
+    if not model.fully_observed:
+        lines += [
+            Line("QMDP", "upper bound", "", lambda _: (planning.q_mdp(model) @ start).max()),
+            Line("FIB", "upper bound", "upper", lambda _: (planning.fib(model) @ start).max()),
+        ]
+    return lines
+
+
+def search_lines(model: TabularModel, seconds: float, seed: int) -> list[Line]:
+    """Return what is searched as long as there is time; a fully observed model needs nothing."""
+
+    def point_based(progress: Progress) -> float:
+        from bnprl_envs.point_based import point_based_lower_bound
+
+        found = point_based_lower_bound(model, seconds=seconds, seed=seed, on_progress=progress)
+        return found.value
+
+    def deterministic(progress: Progress) -> float:
+        return memoryless.memoryless_joint_policy(
+            model, restarts=None, seconds=seconds, seed=seed, on_progress=progress
+        ).value
+
+    def stochastic(progress: Progress) -> float:
+        return memoryless.stochastic_memoryless_policy(
+            model, restarts=None, seconds=seconds, seed=seed, on_progress=progress
+        ).value
+
+    if model.fully_observed:
+        return []
+    best = "best memoryless, deterministic"
+    if model.n_agents > 1:
+        return [
+            Line("point-based", "lower bound if centralised", "", point_based, timed=True),
+            Line(best, "policy", "memoryless", deterministic, timed=True),
+        ]
+    return [
+        Line("point-based", "lower bound", "lower", point_based, timed=True),
+        Line(best, "policy", "", deterministic, timed=True),
+        Line("best memoryless, stochastic", "policy", "memoryless", stochastic, timed=True),
+    ]
+
+
+def _solvable(environment: EnvironmentSpec) -> TabularModel:
+    """Return the model.
+
+    Raises:
+        ValueError: there is none, or its discount gives an infinite horizon no value.
+        OSError: the model file cannot be read.
+    """
+    model = environment.model()
+    if model is None:
+        raise ValueError(f"{environment.id} has no tables: there is nothing to compute from")
+    if not model.discount < 1.0:
+        raise ValueError(
+            f"discount {model.discount:g}: an infinite horizon needs one below 1; "
+            "give one with --discount"
+        )
+    return model
+
+
+def _compute(line: Line, options: Bounds) -> float:
+    with tqdm(
+        total=options.seconds if line.timed else None,
+        desc=line.name,
+        bar_format=_TIMED if line.timed else "{desc} ...",
+        leave=False,
+        disable=not options.progress,
+    ) as bar:
+
+        def progress(used: float, value: float) -> None:
+            bar.set_postfix_str(number(value, ".5f"), refresh=False)
+            bar.update(min(used, options.seconds) - bar.n)
+
+        return float(line.compute(progress))
+
+
+def _references(environment: EnvironmentSpec, model: TabularModel) -> dict[str, registry.Reference]:
+    """Return what the registry knows of this environment with this discount."""
+    if environment.id not in registry.environment_ids():
+        return {}
+    entry = registry.entry(environment.id)
+    if entry.discount != model.discount:
+        return {}
+    return {reference.name: reference for reference in entry.references}
+
+
+def _table(values: dict[Line, float], references: dict[str, registry.Reference]) -> list[list[str]]:
+    """Return the cells, header first; references without a line come last."""
+    rows = [["", "kind", "value", *(["reference", "source"] if references else [])]]
+    left = dict(references)
+    for line, value in values.items():
+        rows.append([line.name, line.kind, number(value, ".5f")])
+        if references:
+            rows[-1] += _reference_cells(left.pop(line.reference, None))
+    return rows + [
+        [REFERENCE_NAMES.get(name, name), "reference", DASH, *_reference_cells(reference)]
+        for name, reference in left.items()
+    ]
+
+
+def _reference_cells(reference: registry.Reference | None) -> list[str]:
+    if reference is None:
+        return [DASH, ""]
+    return [number(reference.value, ".9g"), reference.source]
+
+
+def _print_table(rows: list[list[str]]) -> None:
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        cells = [
+            cell.rjust(width) if column in (2, 3) else cell.ljust(width)
+            for column, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ]
+        print("  ".join(cells).rstrip())
