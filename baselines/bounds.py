@@ -50,15 +50,13 @@ def print_bounds(options: Bounds) -> int:
             raise ValueError(f"--seconds: {options.seconds}, must be over 0 and finite")
         if options.seed < 0:
             raise ValueError(f"--seed: {options.seed}, must be at least 0")
-        given = {} if options.discount is None else {"discount": options.discount}
-        environment = EnvironmentSpec(options.id, given)
-        model = _solvable(environment)
+        model = _solvable(options.id, options.discount)
     values = {
         line: _compute(line, options)
         for line in (*exact_lines(model), *search_lines(model, options.seconds, options.seed))
     }
-    print(f"{environment.id}: expected discounted return, discount {model.discount:g}")
-    _print_table(_table(values, _references(environment, model)))
+    print(f"{options.id}: expected discounted return, discount {model.discount:g}")
+    _print_table(_table(values, _references(options.id, model)))
     return 0
 
 
@@ -85,22 +83,36 @@ def exact_lines(model: TabularModel) -> list[Line]:
 
 
 def search_lines(model: TabularModel, seconds: float, seed: int) -> list[Line]:
-    """Return what is searched as long as there is time; a fully observed model needs nothing."""
+    """Return what is searched as long as there is time; a fully observed model needs nothing.
+
+    They are to be computed in this order: the last search goes on from the one before.
+    """
 
     def point_based(progress: Progress) -> float:
         from bnprl_envs.point_based import point_based_lower_bound
 
-        found = point_based_lower_bound(model, seconds=seconds, seed=seed, on_progress=progress)
-        return found.value
+        return point_based_lower_bound(
+            model, seconds=seconds, seed=seed, on_progress=progress
+        ).value
+
+    found: list[memoryless.JointPolicy] = []
 
     def deterministic(progress: Progress) -> float:
-        return memoryless.memoryless_joint_policy(
-            model, restarts=None, seconds=seconds, seed=seed, on_progress=progress
-        ).value
+        found.append(
+            memoryless.memoryless_joint_policy(
+                model, restarts=None, seconds=seconds, seed=seed, on_progress=progress
+            )
+        )
+        return found[-1].value
 
     def stochastic(progress: Progress) -> float:
         return memoryless.stochastic_memoryless_policy(
-            model, restarts=None, seconds=seconds, seed=seed, on_progress=progress
+            model,
+            restarts=None,
+            seconds=seconds,
+            seed=seed,
+            initial=found[-1].policies[0],
+            on_progress=progress,
         ).value
 
     if model.fully_observed:
@@ -118,19 +130,22 @@ def search_lines(model: TabularModel, seconds: float, seed: int) -> list[Line]:
     ]
 
 
-def _solvable(environment: EnvironmentSpec) -> TabularModel:
-    """Return the model.
+def _solvable(id: str, discount: float | None) -> TabularModel:
+    """Return the model, with another discount if one is given.
 
     Raises:
         ValueError: there is none, or its discount gives an infinite horizon no value.
         OSError: the model file cannot be read.
     """
-    model = environment.model()
+    known = id in registry.environment_ids()
+    model = registry.model(id) if known else EnvironmentSpec(id).model()
     if model is None:
-        raise ValueError(f"{environment.id} has no tables: there is nothing to compute from")
+        raise ValueError(f"{id} has no tables: there is nothing to compute from")
+    if discount is not None:
+        model = model.replace(discount=discount)
     if not model.discount < 1.0:
         raise ValueError(
-            f"discount {model.discount:g}: an infinite horizon needs one below 1; "
+            f"discount: {model.discount:g}, an infinite horizon needs one below 1; "
             "give one with --discount"
         )
     return model
@@ -152,14 +167,11 @@ def _compute(line: Line, options: Bounds) -> float:
         return float(line.compute(progress))
 
 
-def _references(environment: EnvironmentSpec, model: TabularModel) -> dict[str, registry.Reference]:
+def _references(id: str, model: TabularModel) -> dict[str, registry.Reference]:
     """Return what the registry knows of this environment with this discount."""
-    if environment.id not in registry.environment_ids():
+    if id not in registry.environment_ids() or registry.entry(id).discount != model.discount:
         return {}
-    entry = registry.entry(environment.id)
-    if entry.discount != model.discount:
-        return {}
-    return {reference.name: reference for reference in entry.references}
+    return {reference.name: reference for reference in registry.entry(id).references}
 
 
 def _table(values: dict[Line, float], references: dict[str, registry.Reference]) -> list[list[str]]:

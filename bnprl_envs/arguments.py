@@ -26,14 +26,21 @@ def checked_limit(max_episode_steps: int | None) -> int | None:
     return max_episode_steps
 
 
+class RenderModeError(ValueError, TypeError):
+    """A render mode that is not supported.
+
+    A TypeError too, by which Stable-Baselines3's `make_vec_env` learns to do without rendering.
+    """
+
+
 def check_render_mode(render_mode: str | None) -> None:
     """Check the mode; none is supported.
 
     Raises:
-        ValueError: it is not None.
+        RenderModeError: it is not None.
     """
     if render_mode is not None:
-        raise ValueError(f"render_mode: {render_mode!r}, must be None")
+        raise RenderModeError(f"render_mode: {render_mode!r}, must be None")
 
 
 def checked_autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:

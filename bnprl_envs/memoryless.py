@@ -145,6 +145,7 @@ def stochastic_memoryless_policy(
     seconds: float | None = None,
     seed: int = 0,
     discount: float | None = None,
+    initial: Sequence[int] | None = None,
     on_progress: Progress | None = None,
 ) -> StochasticPolicy:
     """Search the best stochastic memoryless policy of one agent.
@@ -160,6 +161,8 @@ def stochastic_memoryless_policy(
         seconds: time to spend; None: until the restarts are done.
         seed: of the random logits.
         discount: instead of the model's.
+        initial: (O + 1,) actions of a policy near which the first restart begins; what is
+            returned is not worse.
         on_progress: called after every iteration.
 
     Returns:
@@ -167,7 +170,7 @@ def stochastic_memoryless_policy(
 
     Raises:
         ValueError: the model has many agents or is fully observed, no limit is given or one is
-            out of range, or the discount is not below 1.
+            out of range, `initial` does not fit, or the discount is not below 1.
     """
     from bnprl_envs.coordinate_ascent import Ascent
 
@@ -182,6 +185,9 @@ def stochastic_memoryless_policy(
     _climb(ascent, random, late=lambda: True)  # compiles it
     clock = _Clock(seconds, on_progress)
     best = StochasticPolicy(np.full(shape, 1.0 / model.n_actions), -np.inf)
+    if initial is not None:
+        table = _table(model, 0, initial)
+        best = StochasticPolicy(table, solve_chain(chain, table, chosen).value)
 
     def loss(logits: FloatArray) -> tuple[float, FloatArray]:
         nonlocal best
@@ -200,7 +206,9 @@ def stochastic_memoryless_policy(
         if restart == restarts or (restart and clock.late()):
             break
         logits = random.normal(size=shape)
-        if restart % 2 == 0:
+        if restart == 0 and initial is not None:
+            logits += _NEAR * best.probabilities
+        elif restart % 2 == 0:
             climbs = [_climb(ascent, random, clock.late) for _ in range(_CLIMBS)]
             _, found = max(climbs, key=lambda climb: climb[0])
             logits[np.arange(shape[0]), found] += _NEAR

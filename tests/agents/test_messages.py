@@ -160,9 +160,9 @@ def test_time_is_linear_in_the_steps_with_dense_rewards():
         soft_counts(episodes, controller, DISCOUNT)
         best = np.inf
         for _ in range(7):
-            begin = time.perf_counter()
+            begin = time.process_time()
             soft_counts(episodes, controller, DISCOUNT)
-            best = min(best, time.perf_counter() - begin)
+            best = min(best, time.process_time() - begin)
         return best
 
     assert min(seconds(400) / seconds(200) for _ in range(3)) < 2.5

@@ -89,6 +89,12 @@ def test_many_agents(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert "best memoryless, stochastic" not in rows
 
 
+def test_an_id_of_many_agents(capsys: pytest.CaptureFixture[str]) -> None:
+    _, rows = shown(capsys, "bnprl/RecyclingRobots-v0", *QUICK)
+    assert "33.84787" in rows["MMDP"]
+    assert "31.92913  31.929134" in rows["best memoryless, deterministic"]
+
+
 def test_a_fully_observed_model_has_no_bounds(capsys: pytest.CaptureFixture[str]) -> None:
     _, rows = shown(capsys, "bnprl/Gridworld-v0", *QUICK)
     assert "  exact  " in rows["MDP"]
@@ -105,6 +111,7 @@ def test_progress_is_shown(capsys: pytest.CaptureFixture[str]) -> None:
     [
         (["bnprl/Halway-v0"], "did you mean bnprl/Hallway-v0"),
         (["CartPole-v1"], "CartPole-v1 has no tables"),
+        (["bnprl/PuddleWorld-v0"], "has no tables"),
         (["missing.POMDP"], "missing.POMDP: there is no such model file"),
         (["bnprl/Hallway-v0", "--seconds", "0"], "--seconds: 0.0, must be over 0"),
         (["bnprl/Hallway-v0", "--seconds", "inf"], "--seconds: inf"),

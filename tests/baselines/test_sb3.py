@@ -10,6 +10,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import VecCheckNan
 
@@ -349,3 +350,9 @@ def test_settings_out_of_range_are_refused() -> None:
         A2CSettings(learning_rate=0.0)
     with pytest.raises(ValueError, match="exploration_fraction"):
         DQNSettings(exploration_fraction=0.0)
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")  # Gymnasium's, of the render mode
+def test_stable_baselines3_makes_the_environment_by_its_id() -> None:
+    env = make_vec_env("bnprl/Hallway-v0", n_envs=2, seed=0)
+    assert env.reset().tolist() == [21, 21]

@@ -222,6 +222,14 @@ class TestStochastic:
         assert found.value > 0.3756
         assert memoryless_value(hallway(), [found.probabilities]) == pytest.approx(found.value)
 
+    def test_going_on_from_a_policy_loses_nothing(self):
+        model = hallway()
+        policies, value = memoryless_joint_policy(model, restarts=1)
+        found = stochastic_memoryless_policy(model, restarts=1, initial=policies[0])
+        assert found.value > value + 1e-4
+        with pytest.raises(ValueError, match=r"agent 0 has shape \(2,\)"):
+            stochastic_memoryless_policy(model, initial=[0, 0])
+
     def test_randomness_helps_in_the_noisy_maze(self):
         model = registered("NoisyMaze1D")
         best = memoryless_joint_policy(model, restarts=20).value

@@ -327,7 +327,7 @@ class TestPointBased:
         found = point_based_lower_bound(model, seconds=1)
         env = TabularEnv(model, max_episode_steps=251)
         env.reset(seed=3)
-        returns = [episode(env, found) for _ in range(150)]
+        returns = [episode(env, found) for _ in range(80)]
         error = np.std(returns) / np.sqrt(len(returns))
         assert np.mean(returns) > found.value - 3 * error
         assert np.mean(returns) < (fib(model) @ model.start).max() + 3 * error
