@@ -175,7 +175,7 @@ def controller_contests() -> list[Contest]:
             f"controller recorded: compiled / {copies:,} copies, act and observe",
             rolled_steps(agent, model, episodes=1000),
             observed_steps(agent, envs, calls=10),
-            wanted=3.0,
+            wanted=10.0,
         ),
     ]
 
