@@ -157,8 +157,7 @@ def observed_steps(
 def controller_contests() -> list[Contest]:
     """Return the contests of compiled rollouts against the native batch stepped from Python.
 
-    Scoring samples nodes; recording filters them, on both sides with the same arithmetic, so that
-    there only the loop around it can be won.
+    Scoring samples nodes; recording filters them, ours in single precision and one product a step.
     """
     copies = 1024
     envs = gym.make_vec(OURS, num_envs=copies, autoreset_mode="Disabled")

@@ -70,7 +70,7 @@ def simulated_returns(
         raise ValueError(f"discount: {discount}, must lie in (0, 1]")
     nodes = _node_sampler(model, team)
     parts = in_chunks(
-        lambda size, stream: _score(model.sampler, nodes, size, horizon, discount, stream),
+        lambda chunk, stream: _score(model.sampler, nodes, len(chunk), horizon, discount, stream),
         episodes,
         rng,
     )
