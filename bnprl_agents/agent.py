@@ -98,6 +98,10 @@ class Agent(abc.ABC):
     def update(self) -> Metrics:
         """Learn from what was observed since the last update; {} if there is nothing to do."""
 
+    def finish(self) -> Metrics:
+        """Learn from what `update` was still waiting to add to; {} if there is nothing."""
+        return {}
+
     @abc.abstractmethod
     def predict(
         self,

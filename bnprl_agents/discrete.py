@@ -38,7 +38,7 @@ class DiscreteSpaces:
         """Indices (n, N) of observations as they come from the environment.
 
         Raises:
-            ValueError: one lies outside its space.
+            ValueError: one is not an integer or lies outside its space.
         """
         return self._indices("observation", value, self._observation)
 
@@ -46,7 +46,7 @@ class DiscreteSpaces:
         """Indices (n, N) of actions as they go to the environment.
 
         Raises:
-            ValueError: one lies outside its space.
+            ValueError: one is not an integer or lies outside its space.
         """
         return self._indices("action", value, self._action)
 
@@ -95,7 +95,7 @@ class DiscreteSpaces:
         columns = [value] if self.agents is None else [value[agent] for agent in self.agents]
         indices = np.stack(
             [
-                np.atleast_1d(np.asarray(column)).astype(np.int64) - int(space.start)
+                _integers(name, column) - int(space.start)
                 for column, space in zip(columns, spaces, strict=True)
             ],
             axis=1,
@@ -122,6 +122,19 @@ def _discrete(name: str, space: Any, agents: tuple[str, ...] | None) -> list[gym
             hint = "; discretise a Box first" if isinstance(part, gym.spaces.Box) else ""
             raise ValueError(f"{name}: {part}, but this agent needs Discrete{hint}")
     return spaces
+
+
+def _integers(name: str, column: Any) -> IntArray:
+    """Whole numbers (n,); floating-point ones pass where nothing is lost."""
+    values = np.atleast_1d(np.asarray(column))
+    if values.dtype.kind in "iub":
+        return values.astype(np.int64)
+    if values.dtype.kind != "f":
+        raise ValueError(f"{name}: {values.flat[0]!r} of type {values.dtype}, must be an integer")
+    broken = ~np.isfinite(values) | (values != np.trunc(values))
+    if broken.any():
+        raise ValueError(f"{name}: {values[broken][0]}, must be an integer")
+    return values.astype(np.int64)
 
 
 def _unbatched(column: IntArray, like: Any) -> Any:

@@ -117,6 +117,19 @@ class EpisodeBatch:
             self.rewards * discount ** self.steps_into_episode(), self.offsets[:-1]
         )
 
+    def first(self, episodes: int) -> EpisodeBatch:
+        """Return the first `episodes` episodes, at most K."""
+        steps = int(self.offsets[episodes])
+        return EpisodeBatch(
+            offsets=self.offsets[: episodes + 1],
+            observations=self.observations[:steps],
+            actions=self.actions[:steps],
+            rewards=self.rewards[:steps],
+            behaviour=self.behaviour[:steps],
+            final_observations=self.final_observations[:episodes],
+            terminated=self.terminated[:episodes],
+        )
+
     @staticmethod
     def concatenate(batches: Sequence[EpisodeBatch]) -> EpisodeBatch:
         """Join batches of the same number of agents, in order.

@@ -13,6 +13,7 @@ from gymnasium.vector import AutoresetMode
 from bnprl_agents.agent import Agent, Metrics
 from bnprl_agents.controllers.learner import ControllerAgent
 from bnprl_agents.controllers.rollout import rollout
+from bnprl_agents.episodes import EpisodeBatch
 from bnprl_envs.model import TabularModel
 
 
@@ -49,11 +50,12 @@ def train(
         env: a vector environment whose autoreset is disabled.
         seed: of the environment.
         episodes: budget of finished episodes.
-        steps: budget of environment steps over all copies. An update whose episodes would take
-            the total past it is not made. Give one of the two.
+        steps: budget of environment steps over all copies, never exceeded: the last update
+            learns from the whole episodes that still fit. Give one of the two.
 
     Raises:
-        ValueError: the budget is not given by exactly one positive number, or autoreset is on.
+        ValueError: the budget is not given by exactly one positive number, autoreset is on, or
+            the model has rewards that the agent cannot use.
     """
     budget = episodes if steps is None else steps
     if (episodes is None) == (steps is None) or budget is None or budget < 1:
@@ -64,8 +66,18 @@ def train(
         )
     model, horizon = getattr(env, "model", None), getattr(env, "max_episode_steps", None)
     if isinstance(agent, ControllerAgent) and isinstance(model, TabularModel) and horizon:
+        agent.check_reward(smallest_reward(model))
         return _train_compiled(agent, model, horizon, seed, episodes, steps)
     return _train_stepwise(agent, env, seed, episodes, steps)
+
+
+def smallest_reward(model: TabularModel) -> float:
+    """The smallest reward of any transition with any observation that is possible then."""
+    action, _, end = model.support
+    reward = model.support_reward
+    if reward.shape[1] > 1:
+        reward = reward[model.observation_rows[action * model.n_states + end].nonzero()]
+    return float(reward.min())
 
 
 def _train_compiled(
@@ -88,11 +100,21 @@ def _train_compiled(
             rng=rng,
             explore=agent.explore,
         )
-        if steps is not None and taken + batch.n_steps > steps:
-            yield Progress(done, taken)
-            return
-        done, taken = done + batch.n_episodes, taken + batch.n_steps
-        yield Progress(done, taken, agent.learn(batch))
+        spent = steps is not None and taken + batch.n_steps > steps
+        if steps is not None and spent:
+            batch = batch.first(_fitting(batch, steps - taken))
+        if batch.n_episodes:
+            done, taken = done + batch.n_episodes, taken + batch.n_steps
+            yield Progress(done, taken, agent.learn(batch))
+        if spent:
+            break
+    if not done:
+        yield Progress(0, 0)
+
+
+def _fitting(batch: EpisodeBatch, steps: int) -> int:
+    """How many of the first episodes have no more than so many steps together."""
+    return int(np.searchsorted(batch.offsets, steps, side="right")) - 1
 
 
 def _train_stepwise(
@@ -119,4 +141,4 @@ def _train_stepwise(
         if ended.any():
             observation, _ = env.reset(options={"reset_mask": ended})
             agent.reset(observation, ended)
-    yield Progress(done, taken)
+    yield Progress(done, taken, agent.finish())

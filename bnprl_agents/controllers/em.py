@@ -39,6 +39,18 @@ def maximise(counts: Counts, controller: Controller) -> Controller:
     )
 
 
+def part_way(old: Controller, new: Controller, share: float) -> Controller:
+    """(1 - share) old + share new, row by row: EM's bound, concave in the rows, still rises."""
+    if share == 1.0:
+        return new
+    return Controller(
+        *(
+            (1.0 - share) * p + share * q
+            for p, q in zip(vars(old).values(), vars(new).values(), strict=True)
+        )
+    )
+
+
 def inner_em(
     episodes: EpisodeBatch,
     controllers: Sequence[Controller],
@@ -128,9 +140,12 @@ class BatchEM(ControllerAgent):
         return self.config.batch_episodes
 
     def learn(self, episodes: EpisodeBatch) -> Metrics:
-        """Run nested EM on the batch; returns its value, mean return and exploration."""
+        """Run nested EM on the batch; returns its value, mean return and exploration.
+
+        A batch of fewer episodes than wanted moves the controllers that part of the way only.
+        """
         data = shifted(episodes, self.config.reward_shift, self.discount)
-        value, exploring = 0.0, 0.0
+        value, exploring, share = 0.0, 0.0, self.batch_share(data)
         for outer in range(self.config.outer_iterations):
             messages = [forward(data, n, c) for n, c in enumerate(self.controllers)]
             current, nu = reward_shares(data, [m.likelihood for m in messages], self.discount)
@@ -142,7 +157,7 @@ class BatchEM(ControllerAgent):
                 messages,
                 nu,
                 self.config.inner_iterations,
-                lambda n, count, controller: maximise(count, controller),
+                lambda n, count, old: part_way(old, maximise(count, old), share),
             )
         self.set_exploration([count.action.sum(axis=1) for count in counts])
         return {

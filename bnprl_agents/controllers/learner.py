@@ -30,6 +30,21 @@ class PolicyState(NamedTuple):
     action: IntArray
 
 
+class NegativeRewardError(ValueError):
+    """A reward below what the learner can use.
+
+    Attributes:
+        shift: the smallest reward_shift that would do.
+    """
+
+    def __init__(self, reward: float) -> None:
+        self.shift = -reward
+        super().__init__(
+            f"reward: {reward:g}, but this learner multiplies with rewards, which must not be "
+            f"negative: reward_shift={self.shift:g} would do"
+        )
+
+
 class ControllerAgent(Agent):
     """Base of the learners of finite-state controllers, for one agent and for teams.
 
@@ -66,7 +81,20 @@ class ControllerAgent(Agent):
     @property
     @abc.abstractmethod
     def batch_episodes(self) -> int:
-        """Episodes that one call of `learn` wants."""
+        """Episodes that one call of `learn` wants; the last of a budget may get fewer."""
+
+    def batch_share(self, episodes: EpisodeBatch) -> float:
+        """The part of a whole batch that these episodes are, at most 1."""
+        return min(1.0, episodes.n_episodes / self.batch_episodes)
+
+    def check_reward(self, smallest: float) -> None:
+        """Check that the learner can use rewards down to this one.
+
+        Raises:
+            NegativeRewardError: it has a reward_shift, and the shifted reward is negative.
+        """
+        if smallest + getattr(self.config, "reward_shift", np.inf) < 0.0:
+            raise NegativeRewardError(smallest)
 
     def initial_controllers(self) -> tuple[Controller, ...]:
         """Random controllers with `config.nodes` nodes, every row drawn uniformly."""
@@ -117,15 +145,15 @@ class ControllerAgent(Agent):
         """Record one transition with its behaviour probability; see `Agent.observe`."""
         self._require_alive()
         actions, seen = self.spaces.actions(action), self.spaces.observations(observation)
+        rewards = self.spaces.reward(reward)
+        self.check_reward(float(rewards.min()))
         ended = self.spaces.flag("terminated", terminated)
         cut = self.spaces.flag("truncated", truncated)
         copies = np.arange(len(actions))
         behaviour = np.stack(
             [p[copies, actions[:, n]] for n, p in enumerate(self.behaviour_probabilities())], axis=1
         )
-        self._recorder.add(
-            self._seen, actions, self.spaces.reward(reward), behaviour, seen, ended, cut
-        )
+        self._recorder.add(self._seen, actions, rewards, behaviour, seen, ended, cut)
         for n, controller in enumerate(self.controllers):
             self._belief[n] = controller.advance(self._belief[n], actions[:, n], seen[:, n])
         self._seen = seen
@@ -136,6 +164,10 @@ class ControllerAgent(Agent):
         if self._recorder.n_finished < self.batch_episodes:
             return {}
         return self.learn(self._recorder.take())
+
+    def finish(self) -> Metrics:
+        """Learn from the finished episodes, fewer than a batch; see `Agent.finish`."""
+        return self.learn(self._recorder.take()) if self._recorder.n_finished else {}
 
     def predict(
         self,

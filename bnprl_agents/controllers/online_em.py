@@ -135,8 +135,11 @@ class OnlineEM(ControllerAgent):
         }
 
     def _improve(self, data: EpisodeBatch) -> tuple[float, float]:
-        """Blend the batch into the statistics; return its value and how much was explored."""
-        saved, rate = self.statistics, self.learning_rate()
+        """Blend the batch into the statistics; return its value and how much was explored.
+
+        The rate counts a whole batch; one of fewer episodes gets its share of it.
+        """
+        saved, rate = self.statistics, self.learning_rate() * self.batch_share(data)
 
         def m_step(n: int, counts: Counts, controller: Controller) -> Controller:
             return maximise(blend(saved[n], counts, rate), controller)

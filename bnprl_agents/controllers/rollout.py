@@ -147,8 +147,14 @@ def check_fit(model: TabularModel, team: Sequence[Controller]) -> None:
     """Check that each agent's controller has the model's actions and observations.
 
     Raises:
-        ValueError: says which agent does not fit.
+        ValueError: says which agent does not fit, or that the model is a fully observed one of
+            several agents, of which each would have to see the state at the start.
     """
+    if model.fully_observed and model.n_agents > 1:
+        raise ValueError(
+            f"a fully observed model of {model.n_agents} agents: controllers serve a single agent "
+            "there; give the model its observations as a table"
+        )
     if len(team) != model.n_agents:
         raise ValueError(f"{len(team)} controllers for {model.n_agents} agents")
     null = 0 if model.fully_observed else 1

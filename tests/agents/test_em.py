@@ -101,7 +101,7 @@ def blind(action):
 
 def test_online_blends_with_the_saved_statistics_once_an_update():
     rng = np.random.default_rng(5)
-    config = OnlineEMConfig(nodes=2, batch_episodes=5, inner_iterations=4)
+    config = OnlineEMConfig(nodes=2, batch_episodes=2, inner_iterations=4)
     agent = OnlineEM(*SPACES, config, discount=0.9, seed=0)
     agent.learn(random_episodes(rng, (3, 4), (2,), (4,)))
     saved, rate = agent.statistics[0].action.copy(), (1 + 2 / 10) ** -0.6
@@ -112,6 +112,28 @@ def test_online_blends_with_the_saved_statistics_once_an_update():
     np.testing.assert_allclose(agent.statistics[0].action, (1 - rate) * saved)
     for before, after in zip(policy, agent.controllers, strict=True):
         np.testing.assert_allclose(after.action, before.action)
+
+
+def test_a_part_of_a_batch_moves_the_learners_part_of_the_way():
+    rng = np.random.default_rng(6)
+    half = random_episodes(rng, (3, 4), (2,), (4,))
+    whole, part = (
+        BatchEM(*SPACES, BatchEMConfig(nodes=2, batch_episodes=k), discount=0.9, seed=0)
+        for k in (2, 4)
+    )
+    before = part.controllers[0].successor.copy()
+    for agent in (whole, part):
+        agent.learn(half)
+    wanted = (before + whole.controllers[0].successor) / 2
+    np.testing.assert_allclose(part.controllers[0].successor, wanted)
+    whole, part = (
+        OnlineEM(*SPACES, OnlineEMConfig(nodes=2, batch_episodes=k), discount=0.9, seed=0)
+        for k in (2, 4)
+    )
+    for agent in (whole, part):
+        agent.learn(half)
+    np.testing.assert_allclose(part.statistics[0].action, whole.statistics[0].action / 2)
+    np.testing.assert_allclose(part.value, whole.value / 2)
 
 
 def test_online_stops_when_exploring_is_negligible():

@@ -9,10 +9,13 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from bnprl_agents.agent import load
 from bnprl_agents.controllers.em import BatchEM, BatchEMConfig
+from bnprl_agents.controllers.learner import NegativeRewardError
 from bnprl_agents.controllers.online_em import OnlineEM, OnlineEMConfig
 from bnprl_agents.policy_files import PolicyFileError
 from bnprl_agents.random_agent import RandomAgent
-from bnprl_agents.training import train
+from bnprl_agents.training import Progress, smallest_reward, train
+from bnprl_envs.model import TabularModel
+from bnprl_envs.tabular_vector import TabularVectorEnv
 
 SPACES = gym.spaces.Discrete(3), gym.spaces.Discrete(2)
 
@@ -136,6 +139,88 @@ def test_autoreset_must_be_off():
 def test_the_steps_budget_is_never_exceeded():
     *_, last = train(online(), corridors(4), seed=0, steps=1001)
     assert 997 < last.steps <= 1001
+
+
+def test_the_last_smaller_batch_of_a_stepwise_budget_is_learned_from():
+    agent, seen = online(batch_episodes=1000), []
+    agent.learn = lambda episodes: seen.append(episodes.n_episodes) or {"learned": 1.0}
+    *_, last = train(agent, corridors(4), seed=0, steps=200)
+    assert last.metrics == {"learned": 1.0}
+    assert seen == [last.episodes]
+    assert last.steps == 200
+
+
+def small_model(reward=1.0):
+    """One state that ends with probability .5 a step."""
+    transition = np.array([[[0.5, 0.5], [0.0, 1.0]]] * 2)
+    rewards = np.zeros((2, 2, 2, 1))
+    rewards[1, 0] = reward
+    return TabularModel(
+        transition, np.ones((2, 2, 1)), rewards, [1.0, 0.0], 0.9, terminal=[False, True]
+    )
+
+
+def small_agent(**settings):
+    spaces = gym.spaces.Discrete(2), gym.spaces.Discrete(2)
+    config = OnlineEMConfig(**({"nodes": 2, "batch_episodes": 10} | settings))
+    return OnlineEM(*spaces, config, discount=0.9, seed=0)
+
+
+def compiled(model, agent, **budget):
+    env = TabularVectorEnv(model, 1, max_episode_steps=20, autoreset_mode="Disabled")
+    return list(train(agent, env, seed=0, **budget))
+
+
+@pytest.mark.parametrize("steps", [3, 50, 1001])
+def test_the_compiled_path_uses_the_steps_budget_up_to_an_episode(steps):
+    agent = small_agent()
+    *_, last = compiled(small_model(), agent, steps=steps)
+    assert steps - 20 < last.steps <= steps
+    assert agent.episodes == last.episodes > 0
+    assert last.metrics
+
+
+def test_a_budget_that_holds_no_episode_teaches_nothing():
+    model = small_model().replace(terminal=[False, False])
+    assert compiled(model, small_agent(), steps=19) == [Progress(0, 0)]
+
+
+def test_negative_rewards_are_refused_before_anything_is_run():
+    env_model = small_model(reward=-2.5)
+    with pytest.raises(NegativeRewardError, match=r"reward_shift=2\.5 would do") as refused:
+        compiled(env_model, small_agent(), steps=100)
+    assert refused.value.shift == 2.5
+    assert compiled(env_model, small_agent(reward_shift=2.5), steps=100)[-1].metrics
+
+
+def test_a_negative_reward_is_refused_at_the_first_step():
+    agent = online()
+    agent.reset(2)
+    with pytest.raises(NegativeRewardError, match=r"reward: -1, .* reward_shift=1 would do"):
+        agent.observe(agent.act(2), -1.0, 0, False, False)
+    RandomAgent(*SPACES, discount=0.9, seed=0).check_reward(-1.0)
+
+
+def test_only_rewards_that_can_be_earned_count():
+    reward = np.zeros((1, 2, 2, 2))
+    reward[:, 0, :, 1] = -5.0  # with an observation that is never made
+    model = TabularModel(
+        [[[0.5, 0.5], [0.0, 1.0]]],
+        [[[1.0, 0.0], [1.0, 0.0]]],
+        reward,
+        [1.0, 0.0],
+        0.9,
+        terminal=[False, True],
+    )
+    assert smallest_reward(model) == 0.0
+
+
+@pytest.mark.parametrize("bad", [1.5, np.nan, np.array([0.0, 0.5]), "one"])
+def test_observations_that_are_no_integers_are_refused(bad):
+    agent = online()
+    with pytest.raises(ValueError, match=r"observation: .* must be an integer"):
+        agent.reset(bad)
+    agent.reset(1.0)
 
 
 def test_predict_filters_the_history_and_restarts_where_told():

@@ -184,3 +184,14 @@ def test_misfits_are_refused():
         controller_value(model, halved, 0.9)
     with pytest.raises(ValueError, match=r"discount: 1\.0"):
         controller_value(model, fits, 1.0)
+
+
+def test_a_fully_observed_team_is_refused():
+    rng = np.random.default_rng(3)
+    model = random_model(rng, 4, (2, 2), (2, 2), terminal=False)
+    seen = model.replace(observation=None, reward=model.expected_reward[..., None, None])
+    team = random_team(rng, (2, 2), (2, 2), (2, 2))
+    with pytest.raises(ValueError, match="fully observed model of 2 agents"):
+        rollout(seen, team, episodes=1, horizon=2, rng=rng)
+    with pytest.raises(ValueError, match="fully observed model of 2 agents"):
+        controller_value(seen, team, 0.9)
