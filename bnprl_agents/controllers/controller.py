@@ -101,27 +101,29 @@ def random_controller(
     n_actions: int,
     n_observations: int,
     rng: np.random.Generator,
-    concentration: float = 1.0,
+    successor_concentration: float = 1.0,
 ) -> Controller:
-    """Draw every row from a symmetric Dirichlet distribution.
+    """Draw every row from a symmetric Dirichlet distribution, uniform but for the successors.
 
     Args:
         n_nodes: Z.
         n_actions: A.
         n_observations: O.
         rng: source of the draws.
-        concentration: parameter of the Dirichlet; 1 is uniform over the simplex, small values
-            give nearly deterministic rows.
+        successor_concentration: parameter of the successor rows' Dirichlet; 1 is uniform over
+            the simplex, small values give nearly deterministic rows, which remember longer.
     """
 
-    def rows(*shape: int) -> FloatArray:
+    def rows(*shape: int, concentration: float = 1.0) -> FloatArray:
         gamma = rng.gamma(concentration, size=shape)
         return normalised(np.maximum(gamma, np.finfo(np.float64).tiny))
 
     return Controller(
         initial=rows(n_observations, n_nodes),
         action=rows(n_nodes, n_actions),
-        successor=rows(n_actions, n_observations, n_nodes, n_nodes),
+        successor=rows(
+            n_actions, n_observations, n_nodes, n_nodes, concentration=successor_concentration
+        ),
     )
 
 

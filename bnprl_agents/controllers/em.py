@@ -91,6 +91,9 @@ class BatchEMConfig:
 
     nodes: int = 20
     """Nodes of every controller."""
+    successor_concentration: float = 0.5
+    """Of the Dirichlet from which the first successor rows are drawn. At 1 (uniform) many nodes
+    average the memory of an observation away, and EM may never leave the best memoryless policy."""
     batch_episodes: int = 300
     """Episodes collected under the current policy for one update, then discarded."""
     outer_iterations: int = 1
@@ -115,8 +118,9 @@ def check_settings(config: Any) -> None:
     for name in ("nodes", "batch_episodes", "outer_iterations", "inner_iterations"):
         if getattr(config, name) < 1:
             raise ValueError(f"{name}: {getattr(config, name)}, must be at least 1")
-    if not config.exploration_prior > 0.0:
-        raise ValueError(f"exploration_prior: {config.exploration_prior}, must be positive")
+    for name in ("successor_concentration", "exploration_prior"):
+        if not 0.0 < getattr(config, name) < np.inf:
+            raise ValueError(f"{name}: {getattr(config, name)}, must be positive and finite")
     if not np.isfinite(config.reward_shift):
         raise ValueError(f"reward_shift: {config.reward_shift}, must be finite")
 

@@ -97,9 +97,15 @@ class ControllerAgent(Agent):
             raise NegativeRewardError(smallest)
 
     def initial_controllers(self) -> tuple[Controller, ...]:
-        """Random controllers with `config.nodes` nodes, every row drawn uniformly."""
+        """Random controllers with `config.nodes` nodes; successor rows are the sparse ones."""
         return tuple(
-            random_controller(self.config.nodes, n_actions, n_observations, self.rng)
+            random_controller(
+                self.config.nodes,
+                n_actions,
+                n_observations,
+                self.rng,
+                self.config.successor_concentration,
+            )
             for n_actions, n_observations in zip(
                 self.spaces.action_sizes, self.spaces.observation_sizes, strict=True
             )

@@ -23,6 +23,9 @@ class OnlineEMConfig:
 
     nodes: int = 20
     """Nodes of every controller."""
+    successor_concentration: float = 0.5
+    """Of the Dirichlet from which the first successor rows are drawn. At 1 (uniform) many nodes
+    average the memory of an observation away, and EM may never leave the best memoryless policy."""
     batch_episodes: int = 100
     """Newest episodes that one update sees and then discards; 1 is Algorithm 3 as printed."""
     outer_iterations: int = 1
