@@ -6,7 +6,7 @@ import dataclasses
 import logging
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -14,6 +14,7 @@ from typing import Annotated, Any, Literal
 import tyro
 from tyro.conf import Positional, arg
 
+from baselines.arguments import parse
 from baselines.usage import UsageError, usage_errors
 
 THREAD_VARIABLES = (
@@ -24,6 +25,11 @@ THREAD_VARIABLES = (
     "NUMBA_NUM_THREADS",
 )
 """One thread each: runs are what is done in parallel, and sums are always taken in one order."""
+
+DESCRIPTION = (
+    "Reinforcement learning with nonparametric policies: train, evaluate and compare agents. "
+    "Each command has --help; --version shows the version."
+)
 
 Environment = Annotated[str, arg(metavar="ID")]
 Progress = Annotated[bool, arg(name="progress")]
@@ -173,7 +179,7 @@ def _version() -> int:
 
 
 def _parse(given: list[str]) -> Any:
-    commands: dict[str, Callable[..., Any]] = {
+    commands: dict[str, type[Any]] = {
         "list": ListNames,
         "train": _train_with_settings(given) if given[:1] == ["train"] else Train,
         "evaluate": Evaluate,
@@ -181,15 +187,7 @@ def _parse(given: list[str]) -> Any:
         "report": Report,
         "bounds": Bounds,
     }
-    return tyro.extras.subcommand_cli_from_dict(
-        commands,
-        prog="bnprl",
-        description=(
-            "Reinforcement learning with nonparametric policies: train, evaluate and compare "
-            "agents. Each command has --help; --version shows the version."
-        ),
-        args=given,
-    )
+    return parse(commands, DESCRIPTION, given)
 
 
 def _train_with_settings(given: list[str]) -> type[Train]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import contextlib
 import importlib.util
+import logging
 import shlex
 import sys
 from collections.abc import Iterable, Iterator, Sequence
@@ -24,14 +25,18 @@ from baselines.contenders import (
 from baselines.evaluation import EnvironmentSpec, Evaluation, evaluate
 from baselines.experiment import Entry, Experiment, configured_entries
 from baselines.records import FolderInUseError, RecordError, RunFiles, folder_lock
-from baselines.report import DASH, number, table, write_report
+from baselines.report import DASH, finished_runs, number, table, write_report
 from baselines.statistics import mean_interval
-from baselines.study import load_study, open_study
+from baselines.study import load_study, open_study, read_runs
 from baselines.usage import usage_errors
+from bnprl_agents.controllers.learner import NegativeRewardError
 from bnprl_envs import registry
 
 if TYPE_CHECKING:
     from baselines.cli import Compare, Evaluate, Train
+
+
+_log = logging.getLogger(__name__)
 
 
 def list_names(what: str) -> int:
@@ -42,6 +47,8 @@ def list_names(what: str) -> int:
         rows = [(name, contender.summary) for name, contender in CONTENDERS.items()]
     else:
         rows = _experiments()
+    if not rows:
+        print(f"There are no {what} yet.")
     width = max((len(name) for name, _ in rows), default=0)
     for name, summary in rows:
         print(f"{name:<{width}}  {summary}")
@@ -71,7 +78,9 @@ def train(options: Train, given: Sequence[str]) -> int:
             eval_episodes=options.eval_episodes,
             eval_points=options.eval_points,
         )
-        _try_out(experiment, entry)
+        if entry.learner.family == "sb3":
+            _check_sb3(experiment, entry)
+        _try_out(experiment, entry, "--reward-shift ")
     return _conduct(experiment, options, given, jobs=1, engine="joblib")
 
 
@@ -92,9 +101,9 @@ def compare(options: Compare, given: Sequence[str]) -> int:
         )
         for entry in experiment.entries:
             if entry.learner.family == "sb3":
-                _check_extra()  # the workers import it: it takes seconds
+                _check_sb3(experiment, entry)
             else:
-                _try_out(experiment, entry)
+                _try_out(experiment, entry, f"--set {entry.name}.reward_shift=")
     return _conduct(experiment, options, given, jobs=options.jobs, engine=options.engine)
 
 
@@ -111,12 +120,34 @@ def _environment(id: str) -> EnvironmentSpec:
     return environment
 
 
-def _try_out(experiment: Experiment, entry: Entry) -> None:
-    """Build a learner once, so that what it cannot do is said before anything is written."""
-    build_learner(entry.learner, experiment.environment, entry.build_settings(), seed=0)
+def _try_out(experiment: Experiment, entry: Entry, flag: str) -> None:
+    """Build a learner once, so that what it cannot do is said before anything is written.
+
+    Raises:
+        ValueError: it cannot serve the environment; `flag` says how a setting is given.
+    """
+    learner = build_learner(entry.learner, experiment.environment, entry.build_settings(), seed=0)
+    try:
+        learner.learn(episodes=1)  # checks and returns an iterator, which alone would learn
+    except NegativeRewardError as error:
+        raise ValueError(
+            f"{entry.name} on {experiment.environment.id}: {error}; give {flag}{error.shift:g}"
+        ) from error
 
 
-def _check_extra() -> None:
+def _check_sb3(experiment: Experiment, entry: Entry) -> None:
+    """Check what Stable-Baselines3's learners need without importing them: that takes seconds.
+
+    Raises:
+        MissingExtraError: a package is not installed.
+        ValueError: the budget is smaller than one rollout.
+    """
+    rollout_steps = entry.build_settings().rollout_steps
+    if experiment.steps is not None and experiment.steps < rollout_steps:
+        raise ValueError(
+            f"--steps: {experiment.steps}, {entry.name} needs at least one rollout of "
+            f"{rollout_steps}"
+        )
     for module in EXTRA_MODULES:
         if importlib.util.find_spec(module) is None:
             raise MissingExtraError(f'{module} is not installed: pip install "bnprl[baselines]"')
@@ -149,6 +180,7 @@ def _conduct(
                 progress=options.progress,
             )
         _report(folder)
+        _name_idle(experiment, folder)
     return _name_failures(failed)
 
 
@@ -171,6 +203,21 @@ def _name_failures(failed: Sequence[RunFiles]) -> int:
         file=sys.stderr,
     )
     return 1
+
+
+def _name_idle(experiment: Experiment, folder: Path) -> None:
+    """Warn of contenders for which the budget held no whole episode or update."""
+    for name, runs in finished_runs(read_runs(experiment, folder)).items():
+        idle = sum(not run[-1].metrics for run in runs)
+        if idle:
+            _log.warning(
+                "%s learned nothing in %d of %d runs: no whole episode fits in a budget of %s %s",
+                name,
+                idle,
+                len(runs),
+                f"{experiment.budget:,}",
+                experiment.unit,
+            )
 
 
 def report(folder: Path) -> int:

@@ -116,10 +116,14 @@ def _newest(run: Sequence[Record]) -> list[Record]:
 def _on_one_grid(
     runs: Sequence[Sequence[Record]], field: str
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Interpolate runs that were evaluated at different times: (points,), (runs, points)."""
+    """Interpolate runs that were evaluated at different times: (points,), (runs, points).
+
+    The grid begins when every run has been evaluated and ends with the last one: a run that has
+    spent its budget keeps its final value, since its policy no longer changes.
+    """
     times = [np.array([getattr(record, field) for record in run], dtype=float) for run in runs]
     values = [np.array([record.return_mean for record in run]) for run in runs]
-    first, last = max(time[0] for time in times), min(time[-1] for time in times)
+    first, last = max(time[0] for time in times), max(time[-1] for time in times)
     if min(len(time) for time in times) < 2 or first >= last:
         return (
             np.array([np.mean([time[-1] for time in times])]),

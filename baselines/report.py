@@ -142,10 +142,11 @@ def caption(summary: Mapping[str, Any]) -> str:
     """Return in a sentence or two what the numbers are."""
     (unit, budget), *_ = summary["budget"].items()
     text = (
-        f"{summary['metric'].capitalize()} after {budget:,} {unit} of training: mean over seeds of "
-        f"{summary['eval_episodes']:,} evaluation episodes each, with {summary['confidence']:.0%} "
-        "bootstrap intervals over seeds. The exact value is that of the learned policies over an "
-        "infinite horizon, computed from the model."
+        f"{summary['metric'].capitalize()} after training with a budget of {budget:,} {unit}; the "
+        "table shows how much of it each agent used, in whole episodes or updates. Means over "
+        f"seeds of {summary['eval_episodes']:,} evaluation episodes each, with "
+        f"{summary['confidence']:.0%} bootstrap intervals over seeds. The exact value is that of "
+        "the learned policies over an infinite horizon, computed from the model."
     )
     if summary["unfinished_runs"]:
         text += f" {summary['unfinished_runs']} runs are not finished."
@@ -155,7 +156,16 @@ def caption(summary: Mapping[str, Any]) -> str:
 def table(summary: Mapping[str, Any]) -> list[list[str]]:
     """Return the cells of the table, header first, as people read them."""
     level = f"{summary['confidence']:.0%} interval"
-    header = ["agent", "mean", level, "exact", "seeds", "steps", "episodes", "train seconds"]
+    header = [
+        "agent",
+        "mean",
+        level,
+        "exact",
+        "seeds",
+        "steps used",
+        "episodes used",
+        "train seconds",
+    ]
     return [header, *(_cells(row) for row in summary["rows"])]
 
 

@@ -67,7 +67,8 @@ $rows
 <img src="$light" alt="Learning curves over environment steps and over seconds: $alternative">
 </picture>
 <p class="faint">Bands are pointwise 95% intervals over seeds. Seconds count training, not
-evaluation. Dotted lines are reference values.</p>
+evaluation; a run that has spent its budget keeps its final value until the slowest has. Dotted
+lines are reference values.</p>
 <h2>Budget and evaluation</h2>
 <dl>$budget</dl>
 <h2>Settings</h2>
@@ -120,7 +121,7 @@ def page(study: Study, summary: Mapping[str, Any], light: bytes, dark: bytes) ->
         light=_data(light),
         dark=_data(dark),
         alternative=escape("; ".join(f"{cells[0]} ends at {cells[1]}" for cells in rows)),
-        budget=_definitions(_budget(study)),
+        budget=_definitions(_budget(study) | _used(summary)),
         settings="\n".join(_settings(entry) for entry in study.experiment.entries),
         sources=_sources(summary),
         versions=_definitions(study.versions),
@@ -158,6 +159,16 @@ def _budget(study: Study) -> dict[str, Any]:
         "root seed": experiment.root_seed,
         "evaluations per run": experiment.eval_points,
         "episodes per evaluation": f"{experiment.eval_episodes:,}",
+    }
+
+
+def _used(summary: Mapping[str, Any]) -> dict[str, str]:
+    """Return how much of the budget each contender used, the mean over its seeds."""
+    (unit, budget), *_ = summary["budget"].items()
+    return {
+        f"{unit} used by {row['agent']}": f"{row[unit]:,.0f} ({row[unit] / budget:.1%})"
+        for row in summary["rows"]
+        if row[unit] is not None
     }
 
 

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -70,6 +71,7 @@ def test_version_and_lists(capsys: pytest.CaptureFixture[str]) -> None:
         "ppo",
     }
     assert main(["list", "experiments"]) == 0
+    assert capsys.readouterr().out.count("\n") >= 1
 
 
 @pytest.mark.parametrize("agent", list(CONTENDERS))
@@ -166,6 +168,13 @@ EM = ["compare", HALLWAY, "--agents", "online-em", *SMALL]
         (["train", HALLWAY, "--agent", "online-em", "--nodes", "0", *SMALL], "nodes"),
         (["compare", HALLWAY, "--agents", "random", *SMALL, "--seeds", "0"], "--seeds: 0"),
         (["compare", HALLWAY, "--agents", "random", *SMALL, "--jobs", "0"], "--jobs: 0"),
+        (["train", HALLWAY, "--agent", "ppo", "--steps", "9"], "one rollout of 2048"),
+        (["compare", HALLWAY, "--agents", "ppo", "--steps", "9"], "one rollout of 2048"),
+        (["train", "bnprl/Tag-v0", "--agent", "batch-em", *SMALL], "; give --reward-shift 10"),
+        (
+            ["compare", "bnprl/Tag-v0", "--agents", "online-em", *SMALL],
+            "; give --set online-em.reward_shift=10",
+        ),
         ([*EM, "--set", "nodes=3"], "must be AGENT.FIELD=VALUE, AGENT one of online-em"),
         ([*EM, "--set", "online-em.noddes=3"], "did you mean nodes"),
         ([*EM, "--set", "online-em.nodes=many"], "'many' is no int"),
@@ -180,12 +189,51 @@ def test_bad_arguments_write_nothing(
     assert not out.exists()
 
 
-def test_what_cannot_be_parsed_exits_2(capsys: pytest.CaptureFixture[str]) -> None:
-    for arguments in (["trian"], ["train"], ["train", HALLWAY, "--steps", "many"], ["list", "x"]):
-        with pytest.raises(SystemExit) as end:
-            main(arguments)
-        assert end.value.code == 2
+COMPLETE = ["--agents", "ppo", "--out", "x"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "a command is missing: list, train, evaluate"),
+        (["trian"], "unknown command 'trian'; did you mean train?"),
+        (["--hlp"], "unknown option --hlp; did you mean --help?"),
+        (["train"], "train: missing ID, --agent, --out; see bnprl train --help"),
+        (["compare", HALLWAY, "--agents", "ppo"], "compare: missing --out; see"),
+        (["compare", HALLWAY, "--agent", "ppo"], "unknown option --agent; did you mean --agents"),
+        (["compare", HALLWAY, "--stepz", "10"], "unknown option --stepz; did you mean --steps"),
+        (["compare", HALLWAY, "--no-progres"], "did you mean --no-progress"),
+        (["train", HALLWAY, "--agent=online-em", "--nods=3"], "--nods; did you mean --nodes"),
+        (["compare", HALLWAY, *COMPLETE, "--steps", "many"], "--steps: 'many' is no whole number"),
+        (["compare", HALLWAY, *COMPLETE, "--seeds", "1.5"], "--seeds: '1.5' is no whole number"),
+        (["bounds", HALLWAY, "--seconds", "soon"], "--seconds: 'soon' is no number"),
+        (["bounds", HALLWAY, "--discount", "x"], "--discount: 'x' is no number"),
+        (["compare", HALLWAY, *COMPLETE, "--steps"], "missing value for argument '--steps'"),
+        (["compare", HALLWAY, *COMPLETE, "--engine", "spark"], "invalid choice 'spark'"),
+        (["list", "x"], "invalid choice 'x' for argument 'what'"),
+        (["report", "a", "b"], "unrecognized options: b"),
+    ],
+)
+def test_what_cannot_be_parsed_is_said_in_one_line(
+    capsys: pytest.CaptureFixture[str], arguments: list[str], message: str
+) -> None:
+    assert message in refused(capsys, *arguments)
+
+
+def test_a_budget_without_an_episode_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+) -> None:
+    out = tmp_path / "out"
+    arguments = ["compare", HALLWAY, "--agents", "online-em", "--steps", "1", "--seeds", "2"]
+    assert main([*arguments, "--no-progress", "--jobs", "1", "--out", str(out)]) == 0
     capsys.readouterr()
+    (warning,) = caplog.messages
+    assert re.fullmatch(
+        r"online-em learned nothing in [12] of 2 runs: "
+        r"no whole episode fits in a budget of 1 steps",
+        warning,
+    )
+    assert "steps used by online-em</dt>" in (out / "report.html").read_text()
 
 
 def test_folders_and_files_that_are_not_what_they_should_be(

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from matplotlib.figure import Figure
 
-from baselines.curves import draw_curves
+from baselines.curves import _on_one_grid, draw_curves
 from baselines.evaluation import EnvironmentSpec
 from baselines.experiment import Entry, Experiment
 from baselines.records import RecordError, RunFiles, open_log, parse_json
@@ -166,6 +166,19 @@ def test_files_replace_each_other_and_nothing_else_is_left(folder: Path) -> None
 def test_a_folder_without_experiment_is_named(tmp_path: Path) -> None:
     with pytest.raises(RecordError, match="holds no experiment"):
         write_report(tmp_path)
+
+
+def test_a_curve_lasts_as_long_as_its_slowest_run() -> None:
+    times = [(1.0, 3.0, 4.0), (2.0, 6.0, 10.0)]
+    runs = [
+        [record(train_seconds=t, return_mean=t * scale) for t in of_run]
+        for of_run, scale in zip(times, (1.0, 10.0), strict=True)
+    ]
+    grid, values = _on_one_grid(runs, "train_seconds")
+    assert (grid[0], grid[-1]) == (2.0, 10.0)
+    assert values[:, 0] == pytest.approx([2.0, 20.0])
+    assert values[:, -1] == pytest.approx([4.0, 100.0])
+    assert (values[0][grid >= 4.0] == 4.0).all()
 
 
 def test_the_curves_show_every_finished_contender(monkeypatch: pytest.MonkeyPatch) -> None:
