@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from numbers import Real
 from operator import index
 from typing import Any
@@ -34,13 +35,27 @@ class RenderModeError(ValueError, TypeError):
 
 
 def check_render_mode(render_mode: str | None) -> None:
-    """Check the mode; none is supported.
+    """Check the mode of a batch, which is not drawn.
 
     Raises:
         RenderModeError: it is not None.
     """
     if render_mode is not None:
-        raise RenderModeError(f"render_mode: {render_mode!r}, must be None")
+        raise RenderModeError(
+            f"render_mode: {render_mode!r}, must be None: batches are not drawn, one copy is"
+        )
+
+
+def checked_render_mode(render_mode: str | None, modes: Sequence[str]) -> str | None:
+    """Return the mode of an environment that can be looked at.
+
+    Raises:
+        RenderModeError: it is neither None nor one of `modes`.
+    """
+    if render_mode is not None and render_mode not in modes:
+        allowed = ", ".join(map(repr, modes))
+        raise RenderModeError(f"render_mode: {render_mode!r}, must be None or one of {allowed}")
+    return render_mode
 
 
 def checked_autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:

@@ -13,6 +13,7 @@ import gymnasium as gym
 import pettingzoo
 
 from bnprl_envs.model import TabularModel
+from bnprl_envs.rendering.scene import Scene
 
 Kind = Literal["tabular", "class", "parallel-tabular", "parallel-class"]
 """What a factory returns: a `TabularModel` (seen through `TabularEnv` and `TabularVectorEnv`, or
@@ -44,7 +45,8 @@ class Entry:
     Attributes:
         id: the id that `gymnasium.make` or `pettingzoo.make` knows.
         summary: one line for listings.
-        factory: "module:function" that builds it; imported when first used.
+        factory: "module:function" that builds it; imported when first used. What it looks like
+            is said by "module:function_scene", if there is one, with the same arguments.
         horizon: steps before an episode is truncated.
         discount: factor of the values, in (0, 1].
         references: values of the form that is registered.
@@ -87,6 +89,18 @@ def build(row: Entry, arguments: Mapping[str, Any]) -> TabularModel:
     if all(isinstance(value, Hashable) for value in arguments.values()):
         return _cached(row.factory, **arguments)
     return _built(row.factory, **arguments)
+
+
+def scene(row: Entry, arguments: Mapping[str, Any]) -> Scene | None:
+    """Return how the states of an entry's model look: what `module:name_scene` says, if anything.
+
+    Raises:
+        ValueError: an argument is out of range.
+        TypeError: the benchmark does not take such an argument.
+    """
+    module, name = row.factory.split(":")
+    function = getattr(importlib.import_module(module), f"{name}_scene", None)
+    return None if function is None else cast(Scene, function(**arguments))
 
 
 def register(row: Entry) -> None:

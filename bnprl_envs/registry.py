@@ -9,6 +9,8 @@ from typing import Any
 
 from bnprl_envs.model import TabularModel
 from bnprl_envs.registration import Entry, Kind, Reference, build, find, register
+from bnprl_envs.registration import scene as entry_scene
+from bnprl_envs.rendering.scene import Scene
 
 __all__ = [
     "Entry",
@@ -18,6 +20,7 @@ __all__ = [
     "environment_ids",
     "model",
     "register_environments",
+    "scene",
 ]
 
 _EXACT = "exact: computed from the model"
@@ -349,6 +352,20 @@ def model(id: str, **arguments: Any) -> TabularModel:
         TypeError: the benchmark does not take such an argument.
     """
     return build(entry(id), arguments)
+
+
+def scene(id: str, **arguments: Any) -> Scene | None:
+    """Return how the states of a model look; None where its benchmark does not say.
+
+    Args:
+        id: for example "bnprl/Hallway-v0".
+        **arguments: of the benchmark's function, for example `resetting=True`.
+
+    Raises:
+        ValueError: the id is unknown (near misses are named), or an argument is out of range.
+        TypeError: the benchmark does not take such an argument.
+    """
+    return entry_scene(entry(id), arguments)
 
 
 def register_environments() -> None:

@@ -16,14 +16,17 @@ from gymnasium.spaces import Discrete
 from scipy.sparse import csr_array
 
 from bnprl_envs import registry
-from bnprl_envs.arguments import check_render_mode, checked_action, checked_limit
+from bnprl_envs.arguments import checked_action, checked_limit
 from bnprl_envs.model import TabularModel
+from bnprl_envs.rendering.rendered import Rendered
+from bnprl_envs.rendering.scene import Doing, Moment, Scene
+from bnprl_envs.tables import FloatArray
 
 _BLOCK = 1024
 """Uniform numbers drawn from the generator at a time."""
 
 
-class TabularEnv(gym.Env[Any, Any]):
+class TabularEnv(Rendered, gym.Env[Any, Any]):
     """A Gymnasium view of a model: POMDP or MDP, one agent.
 
     The observation is an int. A partially observed model says nothing before the first action,
@@ -35,19 +38,18 @@ class TabularEnv(gym.Env[Any, Any]):
     Args:
         model: the model, or the id of one.
         max_episode_steps: steps before truncation; None: no limit.
-        render_mode: None.
+        render_mode: None, "ansi", "rgb_array" or "human".
         **arguments: with an id, what the benchmark takes (`resetting=True`).
 
     Attributes:
         model: the model.
         discount: the model's, in (0, 1].
+        belief: (S,) of a policy that holds one, to be shown by `render`; None after a reset.
 
     Raises:
         ValueError: the model has several agents or may start in a terminal state, or an
             argument is out of range.
     """
-
-    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 (declared so by Gymnasium)
 
     def __init__(
         self,
@@ -60,13 +62,14 @@ class TabularEnv(gym.Env[Any, Any]):
         self.model = single_agent_model(model, arguments)
         self.discount = self.model.discount
         self.action_space, self.observation_space = single_agent_spaces(self.model)
-        check_render_mode(render_mode)
-        self.render_mode = None
+        self._set_render_mode(render_mode)
+        self._look = (model, arguments) if isinstance(model, str) else None
         self.max_episode_steps = checked_limit(max_episode_steps)
         self._limit = max_episode_steps or math.inf
         self._tables = step_tables(self.model)
         self._uniforms: list[float] = []
         self._state = -1
+        self._last: tuple[int, int, float] | None = None
         self._elapsed = 0
         self._running = False
 
@@ -100,8 +103,10 @@ class TabularEnv(gym.Env[Any, Any]):
             self._draw_uniforms()
         start = self._tables.start
         self._state = bisect_right(start, self._uniforms.pop(), 0, len(start) - 1)
+        self._last = self.belief = None
         self._elapsed = 0
         self._running = True
+        self._show()
         return self._state if self.model.fully_observed else self._tables.n_observations, {}
 
     def step(self, action: int) -> tuple[int, float, bool, bool, dict[str, Any]]:
@@ -138,10 +143,18 @@ class TabularEnv(gym.Env[Any, Any]):
         terminated = tables.terminal[state]
         truncated = not terminated and self._elapsed >= self._limit
         self._running = not (terminated or truncated)
+        self._last = joint, observation, reward
+        self._show()
         return observation, reward, terminated, truncated, {}
 
     def _draw_uniforms(self) -> None:
         self._uniforms[:] = self.np_random.random(_BLOCK).tolist()
+
+    def _make_scene(self) -> Scene:
+        return model_scene(self.model, self._look)
+
+    def _moment(self) -> Moment:
+        return tabular_moment(self.model, self.state, self._elapsed, self._last, self.belief)
 
 
 def resolved_model(model: TabularModel | str, arguments: dict[str, Any]) -> TabularModel:
@@ -181,6 +194,56 @@ def single_agent_spaces(model: TabularModel) -> tuple[Discrete, Discrete]:
     """Return the action space and the observation space (with the null observation, if any)."""
     null = 0 if model.fully_observed else 1
     return Discrete(model.n_actions), Discrete(model.n_observations + null)
+
+
+def model_scene(model: TabularModel, look: tuple[str, dict[str, Any]] | None) -> Scene:
+    """Return how the states of a model look.
+
+    Args:
+        model: the model.
+        look: the id and the arguments that it was built from; None where it came without.
+    """
+    scene = None if look is None else registry.scene(look[0], **look[1])
+    if scene is None:
+        from bnprl_envs.rendering.card import Card
+
+        return Card(model.names.states)
+    return scene
+
+
+def tabular_moment(
+    model: TabularModel,
+    state: int,
+    step: int,
+    last: tuple[int, int, float] | None,
+    belief: FloatArray | None,
+) -> Moment:
+    """Return what there is to show of a model, in its words.
+
+    Args:
+        model: of one agent or many.
+        state: the true one.
+        step: steps since the reset.
+        last: joint action, joint observation and reward of the last step; None before it.
+        belief: (S,) distribution of the state, or None.
+
+    Raises:
+        ValueError: the belief has another shape.
+    """
+    if belief is not None and np.shape(belief) != (model.n_states,):
+        raise ValueError(f"belief: shape {np.shape(belief)}, must be ({model.n_states},)")
+    names = model.names
+    if last is None:
+        first = names.states[state] if model.fully_observed else "nothing yet"
+        doings = tuple(Doing(agent, "-", first) for agent in names.agents)
+        return Moment(state, step, (), None, doings, belief)
+    actions = np.unravel_index(last[0], model.action_sizes)
+    seen = np.unravel_index(last[1], model.observation_sizes)
+    doings = tuple(
+        Doing(names.agents[n], names.actions[n][int(a)], names.observations[n][int(o)])
+        for n, (a, o) in enumerate(zip(actions, seen, strict=True))
+    )
+    return Moment(state, step, tuple(map(int, actions)), last[2], doings, belief)
 
 
 class Rows(NamedTuple):

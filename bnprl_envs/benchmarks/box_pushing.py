@@ -9,6 +9,7 @@ import numpy as np
 
 from bnprl_envs.benchmarks.teams import team_names
 from bnprl_envs.model import TabularModel
+from bnprl_envs.rendering.plan import Piece, Plan
 from bnprl_envs.tables import FloatArray
 
 TURN_LEFT, TURN_RIGHT, FORWARD, STAY = range(4)
@@ -20,6 +21,11 @@ _TURNS = {TURN_LEFT: -1, TURN_RIGHT: 1}
 _WAYS = {_EAST: 1, _WEST: -1}  # columns of a step
 _COLUMNS = range(1, 5)
 _SUCCESS = 0.9
+_MOVED = (  # goals at which the left, the large, the right box has been moved
+    (LEFT_AT_GOAL, BOTH_AT_GOAL),
+    (LARGE_AT_GOAL,),
+    (RIGHT_AT_GOAL, BOTH_AT_GOAL),
+)
 _GOALS = ("left-at-goal", "right-at-goal", "both-at-goal", "large-at-goal")
 
 
@@ -104,6 +110,28 @@ def box_pushing() -> TabularModel:
             ("turn-left", "turn-right", "forward", "stay"),
             ("empty", "wall", "other-robot", "small-box", "large-box"),
         ),
+    )
+
+
+def box_pushing_scene() -> Plan:
+    """Return what the room looks like: the goal in the north, then the boxes, then the robots."""
+    robots = np.array([[(-1, 0)] * 2] * len(_GOALS) + _TEAMS)  # (S, 2, 2); at a goal nowhere
+    columns, facing = robots[:, :, 0], robots[:, :, 1]
+    places = np.where(columns < 0, -1, 8 + columns - 1)
+    state = np.arange(len(robots))
+    moved = [np.isin(state, goals) for goals in _MOVED]
+    return Plan(
+        cells=[(row, column) for row in range(3) for column in range(4)],
+        pieces=[
+            Piece("small box", "box", np.where(moved[0], 0, 4), sign="b"),
+            Piece("large box", "box", np.where(moved[1], 1, 5), sign="B", span=2),
+            Piece("small box", "box", np.where(moved[2], 3, 7), sign="b"),
+            Piece("agent_0", "robot", places[:, 0], facing[:, 0], sign="0"),
+            Piece("agent_1", "robot", places[:, 1], facing[:, 1], sign="1", agent=1),
+        ],
+        goals=range(4),
+        notes={goal: f"{name.replace('-', ' ')}; begins anew" for goal, name in enumerate(_GOALS)},
+        believed=3,
     )
 
 

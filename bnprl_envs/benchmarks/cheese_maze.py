@@ -6,6 +6,7 @@ import numpy as np
 
 from bnprl_envs.benchmarks.mazes import COMPASS, compass_ends, maze_model
 from bnprl_envs.model import IntArray, Names, TabularModel
+from bnprl_envs.rendering.plan import Piece, Plan
 from bnprl_envs.tables import FloatArray
 
 _LAYOUT = (
@@ -64,14 +65,9 @@ def cheese_maze(resetting: bool = False) -> TabularModel:
     Raises:
         ValueError: `resetting` is neither True nor False.
     """
-    cells = sorted(
-        (mark == "+", row, column)
-        for row, line in enumerate(_LAYOUT)
-        for column, mark in enumerate(line)
-        if mark != " "
-    )
-    ends = compass_ends([(row, column) for _, row, column in cells])
-    goal = np.array([in_goal for in_goal, _, _ in cells])
+    cells = _cells()
+    ends = compass_ends(cells)
+    goal = np.arange(len(cells)) == len(cells) - 1
     words, observation = _walls(ends[:, ~goal])
     return maze_model(
         np.eye(goal.size)[ends],
@@ -86,6 +82,24 @@ def cheese_maze(resetting: bool = False) -> TabularModel:
             agents=("agent_0",),
         ),
     )
+
+
+def cheese_maze_scene(**_: object) -> Plan:
+    """Return what the maze looks like; the goal is the cheese."""
+    cells = _cells()
+    mouse = Piece("mouse", "robot", np.arange(len(cells)))
+    return Plan(cells, [mouse], goals=[len(cells) - 1])
+
+
+def _cells() -> list[tuple[int, int]]:
+    """Return (row, column) of the free cells, the cheese last."""
+    marks = sorted(
+        (mark == "+", row, column)
+        for row, line in enumerate(_LAYOUT)
+        for column, mark in enumerate(line)
+        if mark != " "
+    )
+    return [(row, column) for _, row, column in marks]
 
 
 def _walls(ends: IntArray) -> tuple[list[str], FloatArray]:

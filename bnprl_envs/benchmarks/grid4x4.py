@@ -6,9 +6,11 @@ import numpy as np
 
 from bnprl_envs.benchmarks.mazes import COMPASS, compass_ends, maze_model
 from bnprl_envs.model import Names, TabularModel
+from bnprl_envs.rendering.plan import Piece, Plan
 
 _SIZE = 4
 _GOAL = _SIZE**2 - 1
+_CELLS = [divmod(cell, _SIZE) for cell in range(_SIZE**2)]  # (row, column)
 
 
 def grid4x4(resetting: bool = False) -> TabularModel:
@@ -54,7 +56,7 @@ def grid4x4(resetting: bool = False) -> TabularModel:
     Raises:
         ValueError: `resetting` is neither True nor False.
     """
-    ends = compass_ends([divmod(cell, _SIZE) for cell in range(_SIZE**2)])
+    ends = compass_ends(_CELLS)
     goal = np.arange(_SIZE**2) == _GOAL
     return maze_model(
         np.eye(goal.size)[ends],
@@ -69,3 +71,8 @@ def grid4x4(resetting: bool = False) -> TabularModel:
             agents=("agent_0",),
         ),
     )
+
+
+def grid4x4_scene(**_: object) -> Plan:
+    """Return what the grid looks like."""
+    return Plan(_CELLS, [Piece("agent", "robot", np.arange(len(_CELLS)))], goals=[_GOAL])

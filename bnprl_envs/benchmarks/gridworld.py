@@ -10,6 +10,7 @@ from scipy.sparse import csr_array
 
 from bnprl_envs.benchmarks.mazes import COMPASS, compass_ends
 from bnprl_envs.model import Names, TabularModel
+from bnprl_envs.rendering.plan import Piece, Plan
 from bnprl_envs.tables import FloatArray
 
 
@@ -90,6 +91,12 @@ def gridworld_positions(rows: int = 5, columns: int = 5) -> FloatArray:
     """Return the coordinates (S, 2) of the states: x from 1 eastwards, y from 1 northwards."""
     row, column = np.divmod(np.arange(rows * columns), columns)
     return np.stack([column + 1.0, rows - row], axis=1)
+
+
+def gridworld_scene(rows: int = 5, columns: int = 5, **_: object) -> Plan:
+    """Return what the grid looks like."""
+    cells = [divmod(state, columns) for state in range(rows * columns)]
+    return Plan(cells, [Piece("agent", "robot", np.arange(len(cells)))], goals=[columns - 1])
 
 
 def _size(name: str, value: int) -> int:

@@ -9,6 +9,7 @@ import numpy as np
 
 from bnprl_envs.benchmarks.mazes import maze_model
 from bnprl_envs.model import Names, TabularModel
+from bnprl_envs.rendering.plan import Piece, Plan
 from bnprl_envs.tables import FloatArray
 
 NORTH, EAST, SOUTH, WEST = range(4)
@@ -165,12 +166,7 @@ def corridor_model(
     Raises:
         ValueError: `resetting` is neither True nor False.
     """
-    cells = [
-        (row, column)
-        for row, line in enumerate(layout)
-        for column, mark in enumerate(line)
-        if mark != " "
-    ]
+    cells = _cells(layout)
     number = {cell: k for k, cell in enumerate(cells)}
     neighbour = [[number.get((r + dr, c + dc)) for dr, dc in _STEP] for r, c in cells]
     in_goal = np.repeat([layout[r][c] == "+" for r, c in cells], 4)
@@ -188,6 +184,34 @@ def corridor_model(
         resetting=resetting,
         names=_names(len(cells), n_observations),
     )
+
+
+def hallway_scene(**_: object) -> Plan:
+    """Return what Hallway looks like; the landmarks' rooms have their observations' numbers."""
+    rooms = {11: "landmark 16", 12: "landmark 17", 13: "landmark 18", 14: "landmark 19"}
+    return _plan(_LAYOUT, rooms)
+
+
+def hallway2_scene(**_: object) -> Plan:
+    """Return what Hallway2 looks like."""
+    return _plan(_LAYOUT_2, {})
+
+
+def _plan(layout: Sequence[str], labels: Mapping[int, str]) -> Plan:
+    cells = _cells(layout)
+    cell, facing = np.divmod(np.arange(4 * len(cells)), 4)
+    goals = [k for k, (row, column) in enumerate(cells) if layout[row][column] == "+"]
+    return Plan(cells, [Piece("robot", "robot", cell, facing)], goals, labels)
+
+
+def _cells(layout: Sequence[str]) -> list[tuple[int, int]]:
+    """Return (row, column) of the free cells."""
+    return [
+        (row, column)
+        for row, line in enumerate(layout)
+        for column, mark in enumerate(line)
+        if mark != " "
+    ]
 
 
 def _moves(action: str, neighbour: Sequence[Sequence[int | None]]) -> FloatArray:

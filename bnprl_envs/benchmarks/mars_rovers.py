@@ -8,6 +8,7 @@ import numpy as np
 
 from bnprl_envs.benchmarks.teams import independent, team_names
 from bnprl_envs.model import TabularModel
+from bnprl_envs.rendering.plan import Piece, Plan
 from bnprl_envs.tables import FloatArray
 
 UP, DOWN, LEFT, RIGHT, DRILL, SAMPLE = range(6)
@@ -86,6 +87,20 @@ def mars_rovers() -> TabularModel:
             ACTIONS,
             [f"site-{site}-{mark}" for mark in ("fresh", "done") for site in range(4)],
         ),
+    )
+
+
+def mars_rovers_scene() -> Plan:
+    """Return what the sites look like."""
+    first, second, done = np.array(_states()).T
+    return Plan(
+        cells=_SITES,
+        pieces=[
+            Piece("agent_0", "robot", first, sign="0"),
+            Piece("agent_1", "robot", second, sign="1", agent=1),
+        ],
+        labels={0: "drill together", 1: "sample", 2: "sample", 3: "drill together"},
+        done=(done[:, None] >> np.arange(len(_SITES)) & 1).astype(np.bool_),
     )
 
 

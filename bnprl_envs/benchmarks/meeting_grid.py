@@ -8,6 +8,7 @@ import numpy as np
 
 from bnprl_envs.benchmarks.teams import independent, team_names
 from bnprl_envs.model import TabularModel
+from bnprl_envs.rendering.plan import Piece, Plan
 from bnprl_envs.tables import FloatArray
 
 ACTIONS = ("up", "down", "left", "right", "stay")
@@ -81,6 +82,19 @@ def meeting_grid(size: int = 3) -> TabularModel:
             ACTIONS,
             [f"cell-{cell}" for cell in cells] if size == 3 else ["left", "right"],
         ),
+    )
+
+
+def meeting_grid_scene(size: int = 3) -> Plan:
+    """Return what the grid looks like; the goals are the cells where to meet."""
+    first, second = np.divmod(np.arange(size**4), size**2)
+    return Plan(
+        cells=[divmod(cell, size) for cell in range(size**2)],
+        pieces=[
+            Piece("agent_0", "robot", first, sign="0"),
+            Piece("agent_1", "robot", second, sign="1", agent=1),
+        ],
+        goals=(0, 8) if size == 3 else range(4),
     )
 
 

@@ -6,9 +6,11 @@ import numpy as np
 
 from bnprl_envs.benchmarks.mazes import EAST, WEST, compass_ends, maze_model
 from bnprl_envs.model import Names, TabularModel
+from bnprl_envs.rendering.plan import Piece, Plan
 
 _ORDER = ("left", "middle", "goal", "right")  # from west to east
 _STATES = ("left", "middle", "right", "goal")
+_CELLS = [(0, _ORDER.index(state)) for state in _STATES]
 _SUCCEEDS = 0.9  # chance of the direction meant; else the opposite one
 
 
@@ -55,7 +57,7 @@ def noisy_maze_1d(resetting: bool = False) -> TabularModel:
     Raises:
         ValueError: `resetting` is neither True nor False.
     """
-    ends = np.eye(4)[compass_ends([(0, _ORDER.index(state)) for state in _STATES])]
+    ends = np.eye(4)[compass_ends(_CELLS)]
     meant = ends[[WEST, EAST]]
     goal = np.array([state == "goal" for state in _STATES])
     return maze_model(
@@ -66,3 +68,10 @@ def noisy_maze_1d(resetting: bool = False) -> TabularModel:
         resetting=resetting,
         names=Names(_STATES, (("west", "east"),), (("nothing", "goal"),), ("agent_0",)),
     )
+
+
+def noisy_maze_1d_scene(**_: object) -> Plan:
+    """Return what the row of cells looks like."""
+    agent = Piece("agent", "robot", np.arange(len(_STATES)))
+    labels = dict(enumerate(_STATES))
+    return Plan(_CELLS, [agent], goals=[_STATES.index("goal")], labels=labels)

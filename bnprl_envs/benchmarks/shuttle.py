@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from bnprl_envs.model import Names, TabularModel
+from bnprl_envs.rendering.plan import Piece, Plan
 from bnprl_envs.tables import FloatArray
 
 TURN_AROUND, GO_FORWARD, BACK_UP = range(3)
@@ -99,6 +100,19 @@ def shuttle() -> TabularModel:
         np.eye(len(_STATES))[_DOCK[_MRV]],
         discount=0.95,
         names=Names(_STATES, (ACTIONS,), (_SIGHTS,), ("agent_0",)),
+    )
+
+
+def shuttle_scene() -> Plan:
+    """Return what the way between the stations looks like; a docked shuttle faces space."""
+    where = {_DOCK[_LRV]: (0, 1), _DOCK[_MRV]: (4, -1)}
+    where |= {state: (1 + place, facing) for state, (place, facing) in _PLACE.items()}
+    places, facing = np.array([where[state] for state in range(len(_STATES))]).T
+    return Plan(
+        cells=[(0, column) for column in range(5)],
+        pieces=[Piece("shuttle", "robot", places, np.where(facing > 0, 1, 3), sign="S")],
+        goals=[0],
+        labels={0: "dock LRV", 1: "at LRV", 2: "space", 3: "at MRV", 4: "dock MRV"},
     )
 
 

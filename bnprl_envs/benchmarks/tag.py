@@ -9,6 +9,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from bnprl_envs.model import Names, TabularModel
+from bnprl_envs.rendering.plan import Piece, Plan
 from bnprl_envs.tables import BoolArray, FloatArray
 
 NORTH, SOUTH, EAST, WEST, CATCH = range(5)
@@ -79,6 +80,21 @@ def tag(resetting: bool = False) -> TabularModel:
         discount=0.95,
         terminal=None if resetting else tagged,
         names=_names(),
+    )
+
+
+def tag_scene(**_: object) -> Plan:
+    """Return what the cells look like; a belief is about the opponent."""
+    robot, opponent = np.divmod(np.arange(_N_CELLS * _N_PLACES), _N_PLACES)
+    north = max(y for _, y in _CELLS)
+    return Plan(
+        cells=[(north - y, x) for x, y in _CELLS],
+        pieces=[
+            Piece("robot", "robot", robot),
+            Piece("opponent", "opponent", np.where(opponent == _TAGGED, -1, opponent), sign="O"),
+        ],
+        notes={int(state): "caught" for state in np.flatnonzero(opponent == _TAGGED)},
+        believed=1,
     )
 
 
