@@ -44,6 +44,8 @@ class TabularEnv(Rendered, gym.Env[Any, Any]):
     Attributes:
         model: the model.
         discount: the model's, in (0, 1].
+        elapsed: steps of the running episode.
+        last: action, observation and reward of its last step; None before the first.
         belief: (S,) of a policy that holds one, to be shown by `render`; None after a reset.
 
     Raises:
@@ -69,8 +71,8 @@ class TabularEnv(Rendered, gym.Env[Any, Any]):
         self._tables = step_tables(self.model)
         self._uniforms: list[float] = []
         self._state = -1
-        self._last: tuple[int, int, float] | None = None
-        self._elapsed = 0
+        self.last: tuple[int, int, float] | None = None
+        self.elapsed = 0
         self._running = False
 
     @property
@@ -103,8 +105,8 @@ class TabularEnv(Rendered, gym.Env[Any, Any]):
             self._draw_uniforms()
         start = self._tables.start
         self._state = bisect_right(start, self._uniforms.pop(), 0, len(start) - 1)
-        self._last = self.belief = None
-        self._elapsed = 0
+        self.last = self.belief = None
+        self.elapsed = 0
         self._running = True
         self._show()
         return self._state if self.model.fully_observed else self._tables.n_observations, {}
@@ -139,11 +141,11 @@ class TabularEnv(Rendered, gym.Env[Any, Any]):
         observation = see.outcome[j]
         reward = tables.reward[k * tables.reward_width + observation % tables.reward_width]
 
-        self._elapsed += 1
+        self.elapsed += 1
         terminated = tables.terminal[state]
-        truncated = not terminated and self._elapsed >= self._limit
+        truncated = not terminated and self.elapsed >= self._limit
         self._running = not (terminated or truncated)
-        self._last = joint, observation, reward
+        self.last = joint, observation, reward
         self._show()
         return observation, reward, terminated, truncated, {}
 
@@ -154,7 +156,7 @@ class TabularEnv(Rendered, gym.Env[Any, Any]):
         return model_scene(self.model, self._look)
 
     def _moment(self) -> Moment:
-        return tabular_moment(self.model, self.state, self._elapsed, self._last, self.belief)
+        return tabular_moment(self.model, self.state, self.elapsed, self.last, self.belief)
 
 
 def resolved_model(model: TabularModel | str, arguments: dict[str, Any]) -> TabularModel:

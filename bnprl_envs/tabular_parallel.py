@@ -19,7 +19,8 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from bnprl_envs.model import Names, TabularModel
-from bnprl_envs.tabular import TabularEnv, resolved_model
+from bnprl_envs.rendering.scene import Moment, Scene
+from bnprl_envs.tabular import TabularEnv, model_scene, resolved_model, tabular_moment
 from bnprl_envs.team import BatchStep, IntArray, TeamEnv, checked_team_actions, cycle_limit
 
 
@@ -36,13 +37,14 @@ class TabularParallelEnv(TeamEnv):
         model: the model, or the id of one.
         max_episode_steps: steps before truncation; None: no limit.
         max_cycles: the same by PettingZoo's name; `max_episode_steps` wins.
-        render_mode: None.
+        render_mode: None, "ansi", "rgb_array" or "human".
         **arguments: with an id, what the benchmark takes (`size=2`).
 
     Attributes:
         model: the model.
         discount: the model's, in (0, 1].
         max_episode_steps: the limit.
+        belief: (S,) of a policy that holds one, to be shown by `render`; None after a reset.
 
     Raises:
         ValueError: the model may start in a terminal state, or an argument is out of range.
@@ -67,6 +69,7 @@ class TabularParallelEnv(TeamEnv):
         )
         self.max_episode_steps = cycle_limit(max_episode_steps, max_cycles)
         self._joint = TabularEnv(team_as_one(self.model), max_episode_steps=self.max_episode_steps)
+        self._look = (model, arguments) if isinstance(model, str) else None
         self._strides = strides(self.model.action_sizes).tolist()
         self._parts = [tuple(row) for row in observation_parts(self.model)]
 
@@ -87,6 +90,13 @@ class TabularParallelEnv(TeamEnv):
         joint = sum(map(mul, actions, self._strides))
         seen, reward, terminated, truncated, info = self._joint.step(joint)
         return self._parts[seen], reward, terminated, truncated, info
+
+    def _make_scene(self) -> Scene:
+        return model_scene(self.model, self._look)
+
+    def _moment(self) -> Moment:
+        joint = self._joint
+        return tabular_moment(self.model, joint.state, joint.elapsed, joint.last, self.belief)
 
 
 class TabularParallelBatch(VectorEnv[IntArray, IntArray, Any]):

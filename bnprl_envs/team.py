@@ -13,7 +13,8 @@ from gymnasium.error import ResetNeeded
 from gymnasium.spaces import Discrete
 from pettingzoo import ParallelEnv
 
-from bnprl_envs.arguments import check_render_mode, checked_limit
+from bnprl_envs.arguments import checked_limit
+from bnprl_envs.rendering.rendered import Rendered
 from bnprl_envs.tables import BoolArray, FloatArray
 
 IntArray = npt.NDArray[np.int64]
@@ -22,17 +23,17 @@ Infos = dict[str, dict[str, Any]]
 BatchStep = tuple[IntArray, FloatArray, BoolArray, BoolArray, dict[str, Any]]
 
 
-class TeamEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo has no types
+class TeamEnv(Rendered, ParallelEnv):  # type: ignore[misc]  # PettingZoo has no types
     """A team in PettingZoo's parallel interface: all act at once and earn the same reward.
 
     Agents are named `agent_0`, `agent_1`, ... Every dict that `reset` and `step` return is new.
-    A subclass says how episodes begin (`_begin`) and go on (`_advance`).
+    A subclass says how episodes begin (`_begin`) and go on (`_advance`), and what it looks like.
 
     Args:
         action_sizes: actions of each agent.
         observation_sizes: observations of each agent.
         discount: factor of the values, in (0, 1].
-        render_mode: None.
+        render_mode: None, "ansi", "rgb_array" or "human".
         name: shown by `str(env)`; None: the class's name.
 
     Attributes:
@@ -41,8 +42,6 @@ class TeamEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo has no types
     Raises:
         ValueError: an argument is out of range.
     """
-
-    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 (declared so by PettingZoo)
 
     def __init__(
         self,
@@ -53,8 +52,7 @@ class TeamEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo has no types
         render_mode: str | None,
         name: str | None = None,
     ) -> None:
-        check_render_mode(render_mode)
-        self.render_mode = None
+        self._set_render_mode(render_mode)
         self.metadata = type(self).metadata | {"name": name or type(self).__name__}
         self.discount = discount
         self.possible_agents = [f"agent_{n}" for n in range(len(action_sizes))]
@@ -91,6 +89,8 @@ class TeamEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo has no types
         """
         observations = self._begin(seed)
         self.agents = self.possible_agents.copy()
+        self.belief = None
+        self._show()
         return (
             dict(zip(self.agents, observations, strict=True)),
             {agent: {} for agent in self.agents},
@@ -117,6 +117,7 @@ class TeamEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo has no types
         seen, reward, terminated, truncated, info = self._advance(self._chosen(actions))
         if terminated or truncated:
             self.agents = []
+        self._show()
         return (
             dict(zip(agents, seen, strict=True)),
             dict.fromkeys(agents, reward),

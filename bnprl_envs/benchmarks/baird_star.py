@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from bnprl_envs.model import Names, TabularModel
+from bnprl_envs.rendering.graph import Edge, Graph
 from bnprl_envs.tables import FloatArray
 
 SOLID, DASHED = range(2)
@@ -66,6 +67,20 @@ def baird_star() -> TabularModel:
         np.full(_N_STATES, 1 / _N_STATES),
         discount=0.99,
         names=Names(states, (ACTIONS,), (states,), ("agent_0",)),
+    )
+
+
+def baird_star_scene() -> Graph:
+    """Return what the star looks like."""
+    angles = np.pi * (0.5 - np.arange(_CENTRE) / 3)
+    rays = [(float(np.cos(angle)), float(np.sin(angle))) for angle in angles]
+    solid = [Edge(outer, _CENTRE, SOLID, 0.25) for outer in range(_CENTRE)]
+    dashed = [Edge(_CENTRE, outer, DASHED, 0.25) for outer in range(_CENTRE)]
+    return Graph(
+        positions=[*rays, (0.0, 0.0)],
+        labels=[str(state) for state in range(_N_STATES)],
+        edges=solid + dashed,
+        actions=ACTIONS,
     )
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from bnprl_envs.benchmarks.teams import independent, team_names
 from bnprl_envs.model import TabularModel
+from bnprl_envs.rendering.gauges import Gauges
 from bnprl_envs.tables import FloatArray
 
 SEND, WAIT = range(2)
@@ -71,6 +72,22 @@ def broadcast_channel() -> TabularModel:
             ("send", "wait"),
             ("collision", "no-collision"),
         ),
+    )
+
+
+def broadcast_channel_scene() -> Gauges:
+    """Return what the buffers and the line between the senders look like."""
+    full = np.stack(np.divmod(np.arange(4), 2), axis=1)
+    return Gauges(
+        "buffer",
+        levels=full.astype(np.float64),
+        words=np.array(["empty", "message"])[full],
+        links={
+            (SEND, SEND): "collision!",
+            (SEND, WAIT): "agent_0 sends",
+            (WAIT, SEND): "agent_1 sends",
+            (WAIT, WAIT): "",
+        },
     )
 
 

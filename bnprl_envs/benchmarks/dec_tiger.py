@@ -6,6 +6,7 @@ import numpy as np
 
 from bnprl_envs.benchmarks.teams import team_names
 from bnprl_envs.model import TabularModel
+from bnprl_envs.rendering.doors import Doors
 from bnprl_envs.tables import FloatArray
 
 LISTEN, OPEN_LEFT, OPEN_RIGHT = range(3)
@@ -74,6 +75,11 @@ def dec_tiger() -> TabularModel:
         observation_sizes=(2, 2),
         names=team_names(places, ("listen", "open-left", "open-right"), places),
     )
+
+
+def dec_tiger_scene() -> Doors:
+    """Return what the doors look like."""
+    return Doors(opens=(OPEN_LEFT, OPEN_RIGHT))
 
 
 def _hearing() -> FloatArray:

@@ -188,8 +188,7 @@ def corridor_model(
 
 def hallway_scene(**_: object) -> Plan:
     """Return what Hallway looks like; the landmarks' rooms have their observations' numbers."""
-    rooms = {11: "landmark 16", 12: "landmark 17", 13: "landmark 18", 14: "landmark 19"}
-    return _plan(_LAYOUT, rooms)
+    return _plan(_LAYOUT, {11: "16", 12: "17", 13: "18", 14: "19"})
 
 
 def hallway2_scene(**_: object) -> Plan:

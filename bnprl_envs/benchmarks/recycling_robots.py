@@ -8,6 +8,7 @@ import numpy as np
 
 from bnprl_envs.benchmarks.teams import independent, team_names
 from bnprl_envs.model import TabularModel
+from bnprl_envs.rendering.gauges import Gauges
 from bnprl_envs.tables import FloatArray
 
 RECHARGE, LITTLE, BIG = range(3)
@@ -78,6 +79,13 @@ def recycling_robots() -> TabularModel:
             levels,
         ),
     )
+
+
+def recycling_robots_scene() -> Gauges:
+    """Return what the batteries look like."""
+    battery = np.stack(np.divmod(np.arange(4), 2), axis=1)
+    levels, words = np.array([1.0, 0.25]), np.array(["high", "low"])
+    return Gauges("battery", levels[battery], words[battery])
 
 
 def _reward() -> FloatArray:

@@ -5,7 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from bnprl_envs.model import Names, TabularModel
+from bnprl_envs.rendering.graph import Edge, Graph
 
+NODES = ("left", "middle", "right")
+ACTIONS = tuple(f"go-{node}" for node in NODES)
 NODE_POSITIONS = (-1.0, 0.0, 1.0)
 """Place of each node on the line; action a, which goes to node a, has the same coordinate."""
 
@@ -47,12 +50,22 @@ def three_nodes() -> TabularModel:
     Returns:
         The model, fully observed: S = 3, A = 3, discount .9999.
     """
-    nodes = ("left", "middle", "right")
     return TabularModel(
         np.repeat(np.eye(3)[:, None], 3, axis=1),
         None,
         0.0,
         np.full(3, 1 / 3),
         discount=0.9999,
-        names=Names(nodes, (tuple(f"go-{node}" for node in nodes),), (nodes,), ("agent_0",)),
+        names=Names(NODES, (ACTIONS,), (NODES,), ("agent_0",)),
+    )
+
+
+def three_nodes_scene() -> Graph:
+    """Return what the nodes on their line look like."""
+    pairs = [(start, end) for start in range(3) for end in range(3) if start != end]
+    return Graph(
+        positions=[(0.8 * x, 0.0) for x in NODE_POSITIONS],
+        labels=NODES,
+        edges=[Edge(start, end, end, 0.4 * abs(end - start)) for start, end in pairs],
+        actions=ACTIONS,
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from bnprl_envs.model import Names, TabularModel
+from bnprl_envs.rendering.doors import Doors
 
 LISTEN, OPEN_LEFT, OPEN_RIGHT = range(3)
 
@@ -59,3 +60,8 @@ def tiger() -> TabularModel:
         discount=0.95,
         names=Names(places, (("listen", "open-left", "open-right"),), (places,), ("agent_0",)),
     )
+
+
+def tiger_scene() -> Doors:
+    """Return what the doors look like."""
+    return Doors(opens=(OPEN_LEFT, OPEN_RIGHT))

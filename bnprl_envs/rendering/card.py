@@ -45,7 +45,11 @@ class Card(Scene):
             canvas.rectangle((left, y), (8, tall), colour)
             canvas.text((left + 24, y + tall / 2), name, colour=theme.FAINT, anchor="lm")
             canvas.text(
-                (left + 140, y + tall / 2), words, theme.LARGE, anchor="lm", width=right - left - 160
+                (left + 140, y + tall / 2),
+                words,
+                theme.LARGE,
+                anchor="lm",
+                width=right - left - 160,
             )
         if moment.belief is not None:
             self._draw_belief(canvas, moment, top + height + 8)

@@ -151,13 +151,9 @@ class Plan(Scene):
         side = min(
             (right - left - 2 * margin) / columns, (bottom - top - 2 * margin) / rows, _LARGEST_CELL
         )
-        return _View(
-            (left + right - side * columns) / 2, (top + bottom - side * rows) / 2, side
-        )
+        return _View((left + right - side * columns) / 2, (top + bottom - side * rows) / 2, side)
 
-    def _draw_cell(
-        self, canvas: Canvas, view: _View, k: int, state: int, belief: float
-    ) -> None:
+    def _draw_cell(self, canvas: Canvas, view: _View, k: int, state: int, belief: float) -> None:
         (x, y), side = view.corner(self.cells[k]), view.side
         goal, done = k in self.goals, self.done is not None and bool(self.done[state, k])
         ground = theme.blend(theme.GOAL, theme.FLOOR, 0.3) if goal else theme.FLOOR
@@ -167,10 +163,8 @@ class Plan(Scene):
         if goal:
             _draw_flag(canvas, (x + 0.5 * side, y + 0.5 * side), 0.32 * side)
         if label := self.labels.get(k):
-            size = min(theme.SMALL, 0.3 * side)
-            canvas.text(
-                (x + side / 2, y + side - 0.8 * size), label, size, theme.INK, width=side - 4
-            )
+            size = min(theme.SMALL, max(10.0, 0.2 * side))
+            canvas.text((x + 4, y + 3), label, size, anchor="la", width=side - 6)
 
     def _standing(self, state: int) -> Iterator[tuple[Piece, int, float]]:
         """Yield pieces and their cells, and how far beside the middle, in sides of a cell."""

@@ -42,7 +42,5 @@ def _pygame() -> Any:
     try:
         import pygame
     except ImportError as error:
-        raise ImportError(
-            'render_mode "human" needs pygame: pip install "bnprl[human]"'
-        ) from error
+        raise ImportError('render_mode "human" needs pygame: pip install "bnprl[human]"') from error
     return pygame
