@@ -20,7 +20,7 @@ IntArray = npt.NDArray[np.int64]
 Cell = tuple[int, int]
 
 _STEP = ((0, -1), (1, 0), (0, 1), (-1, 0))  # (x, y) of north, east, south, west, y downwards
-_LARGEST_CELL = 96.0
+_LARGEST_CELL = 140.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,7 +25,7 @@ GOAL = "#009e73"
 DANGER = "#d55e00"
 BELIEF = "#cc79a7"
 WATER = "#56b4e9"
-BOX = "#b58900"
+BOX = "#8c6a00"
 AGENTS = ("#0072b2", "#e69f00")
 """By turns, the first agent first."""
 
