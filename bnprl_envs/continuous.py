@@ -11,13 +11,15 @@ import numpy as np
 from gymnasium.error import ResetNeeded
 from gymnasium.spaces import Box, Discrete
 
-from bnprl_envs.arguments import check_render_mode, checked_action, checked_limit
+from bnprl_envs.arguments import checked_action, checked_limit
+from bnprl_envs.rendering.rendered import Rendered
+from bnprl_envs.rendering.scene import Doing, Moment
 from bnprl_envs.tables import BoolArray, FloatArray
 from bnprl_envs.vector_env import IntArray, NativeVectorEnv
 
 
-class ContinuousEnv(gym.Env[Any, Any]):
-    """One copy; a subclass says how an episode begins (`_start`) and what a step does (`_move`).
+class ContinuousEnv(Rendered, gym.Env[Any, Any]):
+    """One copy; a subclass says how an episode begins, what a step does, and how that looks.
 
     Reaching a terminal state terminates; using up `max_episode_steps` truncates, unless the last
     step terminates. (`gymnasium.make` truncates by its TimeLimit instead, which sets both on such
@@ -27,14 +29,15 @@ class ContinuousEnv(gym.Env[Any, Any]):
         observation_space: (D,) float64, holds every reachable state.
         n_actions: A.
         max_episode_steps: steps before truncation; None: no limit.
-        render_mode: None.
+        render_mode: None, "ansi", "rgb_array" or "human".
 
     Raises:
         ValueError: an argument is out of range.
     """
 
-    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 (declared so by Gymnasium)
     discount: float
+    action_names: tuple[str, ...]
+    state_names: tuple[str, ...]
 
     def __init__(
         self,
@@ -44,14 +47,15 @@ class ContinuousEnv(gym.Env[Any, Any]):
         max_episode_steps: int | None,
         render_mode: str | None,
     ) -> None:
-        check_render_mode(render_mode)
-        self.render_mode = None
+        self._set_render_mode(render_mode)
         self.max_episode_steps = checked_limit(max_episode_steps)
         self.observation_space = observation_space
         self.action_space = Discrete(n_actions)
         self._n_actions = n_actions
         self._limit = max_episode_steps or math.inf
         self._state: tuple[float, ...] = ()
+        self._last: tuple[int, float] | None = None
+        self._trail: list[tuple[float, ...]] = []
         self._elapsed = 0
         self._running = False
 
@@ -80,8 +84,10 @@ class ContinuousEnv(gym.Env[Any, Any]):
         """
         super().reset(seed=seed)
         self._state = self._start()
+        self._last, self._trail = None, [self._state]
         self._elapsed = 0
         self._running = True
+        self._show()
         return np.array(self._state), {}
 
     def step(self, action: int) -> tuple[FloatArray, float, bool, bool, dict[str, Any]]:
@@ -99,11 +105,26 @@ class ContinuousEnv(gym.Env[Any, Any]):
         """
         if not self._running:
             raise ResetNeeded("step() needs a running episode: call reset() first")
-        self._state, reward, terminated = self._move(checked_action(action, self._n_actions))
+        chosen = checked_action(action, self._n_actions)
+        self._state, reward, terminated = self._move(chosen)
         self._elapsed += 1
         truncated = not terminated and self._elapsed >= self._limit
         self._running = not (terminated or truncated)
+        self._last = chosen, reward
+        if self.render_mode is not None:
+            self._trail.append(self._state)
+            self._show()
         return np.array(self._state), reward, terminated, truncated, {}
+
+    def _moment(self) -> Moment:
+        state = self.state
+        seen = ", ".join(
+            f"{name} {value:.2f}" for name, value in zip(self.state_names, state, strict=True)
+        )
+        actions, reward = ((), None) if self._last is None else ((self._last[0],), self._last[1])
+        word = self.action_names[actions[0]] if actions else "-"
+        doings = (Doing("agent", word, seen),)
+        return Moment(state, self._elapsed, actions, reward, doings, trail=tuple(self._trail))
 
     @abstractmethod
     def _start(self) -> tuple[float, ...]:

@@ -9,6 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from bnprl_envs.grid_traffic_batch import HORIZONTAL, VERTICAL, GridTrafficBatch
+from bnprl_envs.rendering.scene import Doing, Moment
+from bnprl_envs.rendering.traffic import Traffic
 from bnprl_envs.team import IntArray, TeamEnv, cycle_limit
 
 __all__ = ["HORIZONTAL", "VERTICAL", "GridTraffic", "GridTrafficBatch", "longer_queue"]
@@ -64,7 +66,7 @@ class GridTraffic(TeamEnv):
         discount: factor of the values, in (0, 1].
         max_episode_steps: steps before truncation; None: `max_cycles`.
         max_cycles: the same by PettingZoo's name; None for both: no limit.
-        render_mode: None.
+        render_mode: None, "ansi", "rgb_array" or "human".
 
     Attributes:
         discount: in (0, 1].
@@ -104,6 +106,8 @@ class GridTraffic(TeamEnv):
             discount=discount,
             render_mode=render_mode,
         )
+        self._last: tuple[list[int], float, int] | None = None
+        self._elapsed = 0
 
     def state(self) -> IntArray:
         """Return the units waiting (rows + columns,), of the rows first.
@@ -115,6 +119,7 @@ class GridTraffic(TeamEnv):
         return queues
 
     def _begin(self, seed: int | None) -> Sequence[np.int64]:
+        self._last, self._elapsed = None, 0
         return list(self._batch.reset(seed=seed)[0][0])
 
     def _advance(
@@ -122,7 +127,23 @@ class GridTraffic(TeamEnv):
     ) -> tuple[Sequence[np.int64], float, bool, bool, dict[str, Any]]:
         seen, reward, _, truncated, info = self._batch.step(np.array([actions]))
         lost = int(info["lost"][0])
+        self._last, self._elapsed = (actions, float(reward[0]), lost), self._elapsed + 1
         return list(seen[0]), float(reward[0]), False, bool(truncated[0]), {"lost": lost}
+
+    def _make_scene(self) -> Traffic:
+        batch = self._batch
+        return Traffic(batch.rows, batch.columns, batch.capacity, vertical=VERTICAL)
+
+    def _moment(self) -> Moment:
+        queues = self.state()
+        who, waiting = f"{len(self.possible_agents)} agents", f"{queues.sum()} waiting"
+        if self._last is None:
+            return Moment(queues, self._elapsed, (), None, (Doing(who, "-", waiting),))
+        actions, reward, lost = self._last
+        upright = actions.count(VERTICAL)
+        did = f"{len(actions) - upright} horizontal, {upright} vertical"
+        doings = (Doing(who, did, f"{waiting}, {lost} lost"),)
+        return Moment(queues, self._elapsed, tuple(actions), reward, doings)
 
 
 def longer_queue(observation: npt.ArrayLike, capacity: int = 9) -> IntArray:

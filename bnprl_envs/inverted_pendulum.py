@@ -11,6 +11,7 @@ from numba import njit
 
 from bnprl_envs.arguments import checked_noise
 from bnprl_envs.continuous import ContinuousEnv, ContinuousVectorEnv
+from bnprl_envs.rendering.pendulum import Pendulum
 from bnprl_envs.tables import BoolArray, FloatArray
 from bnprl_envs.vector_env import IntArray
 
@@ -78,7 +79,7 @@ class InvertedPendulumEnv(ContinuousEnv):
     Args:
         noise: largest disturbance, N.
         max_episode_steps: steps before truncation; None: no limit.
-        render_mode: None.
+        render_mode: None, "ansi", "rgb_array" or "human".
 
     Attributes:
         discount: 0.95.
@@ -88,6 +89,8 @@ class InvertedPendulumEnv(ContinuousEnv):
     """
 
     discount = DISCOUNT
+    action_names = ("push left", "no push", "push right")
+    state_names = ("angle", "velocity")
 
     def __init__(
         self,
@@ -112,6 +115,9 @@ class InvertedPendulumEnv(ContinuousEnv):
         angle, velocity = self._state
         angle_t, velocity_t = integrate(angle, velocity, push(action) + disturbance)
         return (angle_t, velocity_t), *outcome(angle, angle_t)
+
+    def _make_scene(self) -> Pendulum:
+        return Pendulum(fallen=FALLEN, pushes=[push(action) for action in range(N_ACTIONS)])
 
 
 class InvertedPendulumVectorEnv(ContinuousVectorEnv):

@@ -11,6 +11,7 @@ from numba import njit
 
 from bnprl_envs.arguments import checked_noise
 from bnprl_envs.continuous import ContinuousEnv, ContinuousVectorEnv
+from bnprl_envs.rendering.puddles import Puddles
 from bnprl_envs.tables import BoolArray, FloatArray
 from bnprl_envs.vector_env import IntArray
 
@@ -67,7 +68,7 @@ class PuddleWorldEnv(ContinuousEnv):
         uniform_start: whether episodes begin anywhere outside the goal.
         noise: standard deviation of the noise in each coordinate.
         max_episode_steps: steps before truncation; None: no limit.
-        render_mode: None.
+        render_mode: None, "ansi", "rgb_array" or "human".
 
     Attributes:
         discount: 0.99.
@@ -77,6 +78,8 @@ class PuddleWorldEnv(ContinuousEnv):
     """
 
     discount = DISCOUNT
+    action_names = ("north", "south", "east", "west")
+    state_names = ("x", "y")
 
     def __init__(
         self,
@@ -103,6 +106,9 @@ class PuddleWorldEnv(ContinuousEnv):
         x, y = self._state
         x_t, y_t = moved(x, y, action, noise_x, noise_y)
         return (x_t, y_t), *outcome(x_t, y_t)
+
+    def _make_scene(self) -> Puddles:
+        return Puddles(PUDDLES, RADIUS, GOAL)
 
 
 class PuddleWorldVectorEnv(ContinuousVectorEnv):

@@ -74,8 +74,8 @@ def baird_star_scene() -> Graph:
     """Return what the star looks like."""
     angles = np.pi * (0.5 - np.arange(_CENTRE) / 3)
     rays = [(float(np.cos(angle)), float(np.sin(angle))) for angle in angles]
-    solid = [Edge(outer, _CENTRE, SOLID, 0.25) for outer in range(_CENTRE)]
-    dashed = [Edge(_CENTRE, outer, DASHED, 0.25) for outer in range(_CENTRE)]
+    solid = [Edge(outer, _CENTRE, SOLID, 0.12) for outer in range(_CENTRE)]
+    dashed = [Edge(_CENTRE, outer, DASHED, 0.12) for outer in range(_CENTRE)]
     return Graph(
         positions=[*rays, (0.0, 0.0)],
         labels=[str(state) for state in range(_N_STATES)],

@@ -66,6 +66,6 @@ def three_nodes_scene() -> Graph:
     return Graph(
         positions=[(0.8 * x, 0.0) for x in NODE_POSITIONS],
         labels=NODES,
-        edges=[Edge(start, end, end, 0.4 * abs(end - start)) for start, end in pairs],
+        edges=[Edge(start, end, end, 0.3 * abs(end - start)) for start, end in pairs],
         actions=ACTIONS,
     )

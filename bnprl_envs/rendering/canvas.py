@@ -81,7 +81,13 @@ class Canvas:
                 self._draw.ellipse([(x - r, y - r), (x + r, y + r)], colour)
 
     def arrow(
-        self, start: Point, end: Point, colour: str, width: float = 2.0, bend: float = 0.0
+        self,
+        start: Point,
+        end: Point,
+        colour: str,
+        width: float = 2.0,
+        bend: float = 0.0,
+        dashed: bool = False,
     ) -> None:
         """Draw an arrow; `bend` moves its middle to the left by so much of its length."""
         (x0, y0), (x1, y1) = start, end
@@ -90,9 +96,11 @@ class Canvas:
         head = np.array([x1 - control[0], y1 - control[1]])
         head = head / max(float(np.hypot(*head)), 1e-9) * (4.0 + 2.5 * width)
         base = np.array(end) - head
-        t = np.linspace(0.0, 1.0, 24)[:, None]
+        t = np.linspace(0.0, 1.0, 25)[:, None]
         points = (1 - t) ** 2 * start + 2 * t * (1 - t) * np.array(control) + t**2 * base
-        self.line([(float(x), float(y)) for x, y in points], colour, width)
+        curve = [_point(point) for point in points]
+        for first, last in ((k, k + 2) for k in range(0, 25, 3)) if dashed else ((0, 24),):
+            self.line(curve[first : last + 1], colour, width)
         side = np.array([-head[1], head[0]]) / 2
         self.polygon([end, _point(base + side), _point(base - side)], colour)
 

@@ -66,7 +66,7 @@ class Doors(Scene):
         canvas.rectangle((x - 8, y - 8), (width + 16, height + 8), frame, radius=6)
         canvas.rectangle((x, y), (width, height), wood)
         if not opened:
-            canvas.circle((x + (width - 14 if side == 0 else 14), y + height / 2), 5, theme.INK)
+            canvas.circle((x + (width - 14 if side == 0 else 14), y + 0.7 * height), 5, theme.INK)
         if moment.state == side:
             _draw_tiger(canvas, (x + width / 2, y + height / 2), 34)
         below = _SIDES[side]
@@ -99,31 +99,17 @@ class Doors(Scene):
 
 def _draw_tiger(canvas: Canvas, centre: Point, radius: float) -> None:
     """Draw a tiger's head."""
-    x, y = centre
-    for way in (-1, 1):
-        canvas.circle((x + 0.7 * way * radius, y - 0.75 * radius), 0.32 * radius, theme.DANGER)
+
+    def at(x: float, y: float) -> Point:
+        return centre[0] + radius * x, centre[1] + radius * y
+
+    for x in (-0.7, 0.7):
+        canvas.circle(at(x, -0.75), 0.32 * radius, theme.DANGER)
     canvas.circle(centre, radius, theme.DANGER)
     for way in (-1, 1):
-        canvas.circle((x + 0.38 * way * radius, y - 0.1 * radius), 0.12 * radius, theme.INK)
-        for height in (0.25, 0.5):
-            start = (x + 0.95 * way * radius, y + height * radius * 0.9 - 4)
-            canvas.line(
-                [start, (x + 0.6 * way * radius, y + height * radius * 0.7 - 2)], theme.INK, 2.5
-            )
-    for along in (-0.25, 0.0, 0.25):
-        canvas.line(
-            [
-                (x + along * radius, y - 0.92 * radius),
-                (x + 0.8 * along * radius, y - 0.55 * radius),
-            ],
-            theme.INK,
-            2.5,
-        )
-    canvas.polygon(
-        [
-            (x - 0.15 * radius, y + 0.2 * radius),
-            (x + 0.15 * radius, y + 0.2 * radius),
-            (x, y + 0.4 * radius),
-        ],
-        theme.INK,
-    )
+        canvas.circle(at(0.38 * way, -0.1), 0.12 * radius, theme.INK)
+        for y in (0.1, 0.35):
+            canvas.line([at(0.95 * way, y), at(0.6 * way, y + 0.05)], theme.INK, 2.5)
+    for x in (-0.25, 0.0, 0.25):
+        canvas.line([at(x, -0.92), at(0.8 * x, -0.55)], theme.INK, 2.5)
+    canvas.polygon([at(-0.15, 0.2), at(0.15, 0.2), at(0.0, 0.4)], theme.INK)

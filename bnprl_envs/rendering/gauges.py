@@ -45,12 +45,13 @@ class Gauges(Scene):
             left, room = x - _WIDTH / 2, _HEIGHT - 16
             canvas.text((x, _TOP - 20), doing.agent)
             canvas.rectangle((left, _TOP), (_WIDTH, _HEIGHT), theme.FLOOR, theme.INK, 2, radius=8)
-            canvas.rectangle(
-                (left + 8, _TOP + 8 + room * (1 - level)),
-                (_WIDTH - 16, room * level),
-                theme.blend(colour, theme.PAPER, 0.75),
-                radius=4,
-            )
+            if level > 0:
+                canvas.rectangle(
+                    (left + 8, _TOP + 8 + room * (1 - level)),
+                    (_WIDTH - 16, room * level),
+                    theme.blend(colour, theme.PAPER, 0.75),
+                    radius=4,
+                )
             y = _TOP + _HEIGHT / 2
             plate = 64 + 6 * len(self.words[moment.state, n])
             canvas.rectangle((x - plate / 2, y - 15), (plate, 30), theme.PAPER, radius=6)

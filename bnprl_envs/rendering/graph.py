@@ -33,7 +33,7 @@ class Edge(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Graph(Scene):
-    """States as nodes; the arrows of the last action are strong.
+    """States as nodes; arrows that the last step may have taken are strong, odd actions' dashed.
 
     Attributes:
         positions: (x, y) of each state, in [-1, 1], y upwards.
@@ -91,7 +91,8 @@ class Graph(Scene):
         end = (x1 - gap * along[0] + side[0], y1 - gap * along[1] + side[1])
         colour = _colour(edge.action)
         faded = colour if taken else theme.blend(colour, theme.PAPER, 0.45)
-        canvas.arrow(start, end, faded, 4.0 if taken else 2.0, edge.bend / 2)
+        width, dashed = 4.0 if taken else 2.0, edge.action % 2 == 1
+        canvas.arrow(start, end, faded, width, edge.bend / 2, dashed)
 
 
 def _colour(action: int) -> str:
