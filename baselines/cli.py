@@ -149,6 +149,33 @@ class Bounds:
     """Show a progress bar."""
 
 
+@dataclass(frozen=True)
+class Watch:
+    """Look at episodes: as text here, as a GIF, or in a window.
+
+    Beside the picture: the discounted return so far, and where a finite-state controller is.
+    """
+
+    id: Positional[Environment]
+    """Environment id, or path of a .POMDP or .dpomdp file."""
+    policy: Path | None = None
+    """Policy file that `train` or `compare` wrote; uniformly random actions if not given."""
+    gif: Path | None = None
+    """Write this animation instead of printing text."""
+    human: bool = False
+    """Show a window instead of printing text."""
+    belief: bool = False
+    """Show how likely each state is, given all that was seen so far (one agent, known model)."""
+    episodes: int = 1
+    """Episodes to watch."""
+    steps: int | None = None
+    """Steps of an episode to watch, at most; all if not given."""
+    seed: int = 0
+    """Everything random is derived from it."""
+    progress: Progress = True
+    """Show a progress bar while a GIF is made."""
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit code."""
     given = list(sys.argv[1:] if arguments is None else arguments)
@@ -186,6 +213,7 @@ def _parse(given: list[str]) -> Any:
         "compare": Compare,
         "report": Report,
         "bounds": Bounds,
+        "watch": Watch,
     }
     return parse(commands, DESCRIPTION, given)
 
@@ -225,6 +253,10 @@ def _run(command: Any, given: list[str]) -> int:
         from baselines.bounds import print_bounds
 
         return print_bounds(command)
+    if isinstance(command, Watch):
+        from baselines.watch import watch
+
+        return watch(command)
     from baselines import commands  # imports the packages
 
     if isinstance(command, ListNames):

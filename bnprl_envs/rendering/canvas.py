@@ -163,11 +163,11 @@ class Canvas:
         self.rectangle((0, top), (width, 1), theme.LINE)
         left = theme.SCENE_BOX[0]
         self.text((left, top + 19), f"step {moment.step}", anchor="lm")
-        self.text((left + 130, top + 19), f"reward {reward_text(moment)}", anchor="lm")
+        self.text((left + 110, top + 19), f"reward {reward_text(moment)}", anchor="lm")
         for row, doing in enumerate(moment.doings):
             y = top + 46 + 24 * row
-            self.text((left, y), doing.agent, colour=theme.FAINT, anchor="lm", width=120)
-            for x, label, words in ((130, "action", doing.action), (360, "saw", doing.observation)):
+            self.text((left, y), doing.agent, colour=theme.FAINT, anchor="lm", width=105)
+            for x, label, words in ((110, "action", doing.action), (360, "saw", doing.observation)):
                 self.text((left + x, y), label, colour=theme.FAINT, anchor="lm")
                 start = left + x + 8 + _font(theme.TEXT).getlength(label)
                 end = left + 352 if label == "action" else width - 10

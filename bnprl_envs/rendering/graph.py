@@ -12,7 +12,7 @@ from bnprl_envs.rendering.scene import Moment, Scene
 if TYPE_CHECKING:
     from bnprl_envs.rendering.canvas import Canvas, Point
 
-_RADIUS = 26.0
+_RADIUS = 30.0
 
 
 class Edge(NamedTuple):

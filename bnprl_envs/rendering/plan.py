@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from bnprl_envs.rendering import theme
 from bnprl_envs.rendering.scene import Moment, Scene
-from bnprl_envs.tables import BoolArray
+from bnprl_envs.tables import BoolArray, FloatArray
 
 if TYPE_CHECKING:
     from bnprl_envs.rendering.canvas import Canvas, Key, Point
@@ -129,15 +129,15 @@ class Plan(Scene):
         note = self.notes.get(moment.state)
         return "\n".join([edge, *(f"#{line}#" for line in lines), edge, *([note] if note else [])])
 
-    def cell_belief(self, moment: Moment) -> npt.NDArray[np.float64] | None:
+    def cell_belief(self, moment: Moment) -> FloatArray | None:
         """Return the chance (cells,) that the piece is in each cell; None without a belief."""
         if moment.belief is None:
             return None
         places = self.pieces[self.believed].places
         somewhere = places >= 0
-        return np.bincount(
-            places[somewhere], weights=moment.belief[somewhere], minlength=len(self.cells)
-        )
+        chances = np.zeros(len(self.cells))
+        np.add.at(chances, places[somewhere], np.asarray(moment.belief)[somewhere])
+        return chances
 
     def _size(self) -> tuple[int, int]:
         rows, columns = zip(*self.cells, strict=True)
@@ -157,11 +157,14 @@ class Plan(Scene):
         (x, y), side = view.corner(self.cells[k]), view.side
         goal, done = k in self.goals, self.done is not None and bool(self.done[state, k])
         ground = theme.blend(theme.GOAL, theme.FLOOR, 0.3) if goal else theme.FLOOR
-        ground = theme.LINE if done else ground
+        ground = theme.DONE if done else ground
         fill = theme.blend(theme.BELIEF, ground, belief**0.5)  # small chances still show
         canvas.rectangle((x, y), (side, side), fill, theme.LINE, width=1 if side > 12 else 0.5)
         if goal:
             _draw_flag(canvas, (x + 0.5 * side, y + 0.5 * side), 0.32 * side)
+        if done:
+            tick = [(0.72, 0.84), (0.79, 0.91), (0.91, 0.75)]
+            canvas.line([(x + side * a, y + side * b) for a, b in tick], theme.INK, 0.03 * side)
         if label := self.labels.get(k):
             size = min(theme.SMALL, max(10.0, 0.2 * side))
             canvas.text((x + 4, y + 3), label, size, anchor="la", width=side - 6)
@@ -187,7 +190,7 @@ class Plan(Scene):
         if self.goals:
             yield "square", theme.blend(theme.GOAL, theme.FLOOR, 0.55), "goal"
         if self.done is not None:
-            yield "square", theme.LINE, "finished"
+            yield "square", theme.DONE, "finished"
         if belief:
             yield "square", theme.BELIEF, f"belief about the {self.pieces[self.believed].name}"
 

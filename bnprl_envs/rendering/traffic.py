@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 BoolArray = npt.NDArray[np.bool_]
 
 _ROOM_FOR_QUEUES = (120.0, 84.0)  # left of the rows, above the columns
-_LARGEST_CELL = 44.0
+_LARGEST_CELL = 60.0
 _SMALLEST_GLYPH = 7.0  # side of a cell below which lights are drawn as pixels
 _SMALLEST_NUMBER = 12.0
 

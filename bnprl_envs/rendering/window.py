@@ -20,7 +20,7 @@ class Window:
     """
 
     def __init__(self, title: str, shape: tuple[int, ...]) -> None:
-        self._pygame = _pygame()
+        self._pygame = import_pygame()
         self._pygame.display.init()
         self._pygame.display.set_caption(title)
         self._surface = self._pygame.display.set_mode((shape[1], shape[0]))
@@ -38,7 +38,12 @@ class Window:
         self._pygame.display.quit()
 
 
-def _pygame() -> Any:
+def import_pygame() -> Any:
+    """Return the module.
+
+    Raises:
+        ImportError: it is not installed; the message says what to install.
+    """
     try:
         import pygame
     except ImportError as error:
