@@ -240,12 +240,14 @@ def _show_window(sights: Iterator[Sight], title: str, fps: int) -> None:
 
 def _make_gif(sights: Iterator[Sight], path: Path, fps: int, progress: bool) -> None:
     shown, held = 1000 // fps, 3000 // fps  # ms; an episode's last frame stays longer
-    frames = [
+    n_frames = write_gif(
+        path,
         (
-            beside(sight.picture, sight.episode, sight.value, sight.nodes),
-            held if sight.over else shown,
-        )
-        for sight in tqdm(sights, unit=" frames", disable=not progress, delay=1)
-    ]
-    write_gif(path, frames)
-    print(f"{path}: {len(frames)} frames")
+            (
+                beside(sight.picture, sight.episode, sight.value, sight.nodes),
+                held if sight.over else shown,
+            )
+            for sight in tqdm(sights, unit=" frames", disable=not progress, delay=1)
+        ),
+    )
+    print(f"{path}: {n_frames} frames")

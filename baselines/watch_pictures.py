@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -19,8 +19,6 @@ Frame = npt.NDArray[np.uint8]
 
 _WIDTH = 200
 _COLOURS = 128
-_BARS = 12
-"""Nodes of a controller that are shown: the most probable ones, where there are more."""
 
 
 def beside(picture: Frame, episode: int, value: float, nodes: Sequence[FloatArray]) -> Frame:
@@ -56,34 +54,40 @@ def beside_as_text(episode: int, value: float, nodes: Sequence[FloatArray]) -> s
     return "\n".join(lines)
 
 
-def write_gif(path: Path, frames: Sequence[tuple[Frame, int]]) -> None:
+def write_gif(path: Path, frames: Iterable[tuple[Frame, int]]) -> int:
     """Write an animation, which appears by rename.
 
     Args:
         path: of the file.
         frames: pictures of one shape, and how long each is shown, ms.
 
+    Returns:
+        The number of frames.
+
     Raises:
         OSError: the file cannot be written.
     """
-    images = [Image.fromarray(frame).quantize(_COLOURS) for frame, _ in frames]
+    images, durations = [], []
+    for frame, duration in frames:
+        images.append(Image.fromarray(frame).quantize(_COLOURS, Image.Quantize.MAXCOVERAGE))
+        durations.append(duration)
     data = io.BytesIO()
     images[0].save(
         data,
         "GIF",
         save_all=True,
         append_images=images[1:],
-        duration=[duration for _, duration in frames],
+        duration=durations,
         loop=0,
     )
     write_atomic(path, data.getvalue())
+    return len(images)
 
 
 def _draw_nodes(
     canvas: Canvas, top: float, room: float, agent: int, distribution: FloatArray
 ) -> None:
-    rows = min(_BARS, int((room - 34) // 16))
-    likely = _likely(distribution)[:rows]
+    likely = _likely(distribution)[: int((room - 34) // 16)]  # as many as there is room for
     canvas.text((16, top + 8), f"nodes of agent_{agent}", theme.SMALL, theme.FAINT, anchor="lm")
     for row, node in enumerate(sorted(likely)):
         y = top + 26 + 16 * row

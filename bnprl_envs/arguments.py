@@ -27,21 +27,14 @@ def checked_limit(max_episode_steps: int | None) -> int | None:
     return max_episode_steps
 
 
-class RenderModeError(ValueError, TypeError):
-    """A render mode that is not supported.
-
-    A TypeError too, by which Stable-Baselines3's `make_vec_env` learns to do without rendering.
-    """
-
-
 def check_render_mode(render_mode: str | None) -> None:
     """Check the mode of a batch, which is not drawn.
 
     Raises:
-        RenderModeError: it is not None.
+        ValueError: it is not None.
     """
     if render_mode is not None:
-        raise RenderModeError(
+        raise ValueError(
             f"render_mode: {render_mode!r}, must be None: batches are not drawn, one copy is"
         )
 
@@ -50,11 +43,11 @@ def checked_render_mode(render_mode: str | None, modes: Sequence[str]) -> str | 
     """Return the mode of an environment that can be looked at.
 
     Raises:
-        RenderModeError: it is neither None nor one of `modes`.
+        ValueError: it is neither None nor one of `modes`.
     """
     if render_mode is not None and render_mode not in modes:
         allowed = ", ".join(map(repr, modes))
-        raise RenderModeError(f"render_mode: {render_mode!r}, must be None or one of {allowed}")
+        raise ValueError(f"render_mode: {render_mode!r}, must be None or one of {allowed}")
     return render_mode
 
 

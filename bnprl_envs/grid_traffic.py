@@ -141,7 +141,7 @@ class GridTraffic(TeamEnv):
             return Moment(queues, self._elapsed, (), None, (Doing(who, "-", waiting),))
         actions, reward, lost = self._last
         upright = actions.count(VERTICAL)
-        did = f"{len(actions) - upright} horizontal, {upright} vertical"
+        did = f"{len(actions) - upright} across, {upright} down"
         doings = (Doing(who, did, f"{waiting}, {lost} lost"),)
         return Moment(queues, self._elapsed, tuple(actions), reward, doings)
 

@@ -352,7 +352,6 @@ def test_settings_out_of_range_are_refused() -> None:
         DQNSettings(exploration_fraction=0.0)
 
 
-@pytest.mark.filterwarnings("ignore::UserWarning")  # Gymnasium's, of the render mode
 def test_stable_baselines3_makes_the_environment_by_its_id() -> None:
     env = make_vec_env("bnprl/Hallway-v0", n_envs=2, seed=0)
     assert env.reset().tolist() == [21, 21]

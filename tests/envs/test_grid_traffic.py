@@ -150,7 +150,7 @@ def test_bad_actions_and_steps_without_an_episode():
         ({"arrival_rate": float("nan")}, r"arrival_rate: nan, must lie in \[0, 1\]"),
         ({"discount": 0.0}, r"discount: 0\.0, must lie in \(0, 1\]"),
         ({"max_episode_steps": 0}, "max_episode_steps: 0, must be at least 1"),
-        ({"render_mode": "human"}, "render_mode: 'human'"),
+        ({"render_mode": "ascii"}, "render_mode: 'ascii'"),
     ],
 )
 def test_bad_constructions(make, arguments, message):

@@ -84,7 +84,7 @@ def test_public_names():
 
 
 def test_importing_is_cheap():
-    heavy = "{'numba', 'matplotlib', 'torch', 'stable_baselines3'}"
+    heavy = "{'numba', 'matplotlib', 'PIL', 'pygame', 'torch', 'stable_baselines3'}"
     code = f"import sys, bnprl_envs; sys.exit(', '.join({heavy} & set(sys.modules)) or 0)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, f"imported: {done.stderr}"

@@ -219,8 +219,8 @@ def test_bad_constructions(make):
         make(chain().replace(start=np.full(4, 0.25)))
     with pytest.raises(ValueError, match="max_episode_steps: 0, must be at least 1"):
         make(chain(), max_episode_steps=0)
-    with pytest.raises(ValueError, match="render_mode: 'ansi'"):
-        make(chain(), render_mode="ansi")
+    with pytest.raises(ValueError, match="render_mode: 'ascii'"):
+        make(chain(), render_mode="ascii")
     with pytest.raises(ValueError, match="did you mean bnprl/Hallway-v0"):
         make("bnprl/Halway-v0")
     with pytest.raises(TypeError, match="resetting"):

@@ -249,8 +249,8 @@ def test_bad_constructions(make):
         make(team_chain().replace(start=np.full(4, 0.25)))
     with pytest.raises(ValueError, match="max_episode_steps: 0, must be at least 1"):
         make(team_chain(), max_episode_steps=0)
-    with pytest.raises(ValueError, match="render_mode: 'ansi'"):
-        make(team_chain(), render_mode="ansi")
+    with pytest.raises(ValueError, match="render_mode: 'ascii'"):
+        make(team_chain(), render_mode="ascii")
     with pytest.raises(ValueError, match="did you mean bnprl/DecTiger-v0"):
         make("bnprl/DecTigger-v0")
     with pytest.raises(ValueError, match="bnprl/GridTraffic-v0 has no tables"):
