@@ -186,7 +186,7 @@ def test_no_label_is_clipped(id, arguments, monkeypatch):
     monkeypatch.setattr(ImageDraw.ImageDraw, "text", text)
     env = make(id, "rgb_array", **arguments)
     env.reset(seed=0)
-    for _ in range(15):
+    for _ in range(6):
         env.render()
         if id in PARALLEL:
             if not env.agents:
@@ -199,7 +199,7 @@ def test_no_label_is_clipped(id, arguments, monkeypatch):
         assert not words.endswith("...")
         assert 0 <= left < right <= width or not words
         assert 0 <= top <= bottom <= height
-    assert len(written) > 20
+    assert len(written) >= 12
 
 
 def test_text_has_contrast():
