@@ -99,8 +99,11 @@ class Canvas:
         t = np.linspace(0.0, 1.0, 25)[:, None]
         points = (1 - t) ** 2 * start + 2 * t * (1 - t) * np.array(control) + t**2 * base
         curve = [_point(point) for point in points]
-        for first, last in ((k, k + 2) for k in range(0, 25, 3)) if dashed else ((0, 24),):
-            self.line(curve[first : last + 1], colour, width)
+        if dashed:
+            for k in range(0, 25, 3):
+                self.line(curve[k : k + 3], colour, width)
+        else:
+            self.line(curve if bend else [curve[0], curve[-1]], colour, width)
         side = np.array([-head[1], head[0]]) / 2
         self.polygon([end, _point(base + side), _point(base - side)], colour)
 

@@ -75,9 +75,9 @@ class Pendulum(Scene):
         force = self._force(moment)
         if force:
             way = math.copysign(1.0, force)
-            start, y = _PIVOT[0] - way * 170, _PIVOT[1] + 13
-            canvas.arrow((start, y), (start + way * 100, y), theme.agent_colour(1), 6)
-            canvas.text((start + way * 40, y + 20), f"{abs(force):.0f} N", theme.SMALL)
+            (x, _), y = _PIVOT, _TRACK + 30
+            canvas.arrow((x - way * 60, y), (x + way * 60, y), theme.agent_colour(1), 6)
+            canvas.text((x - way * 88, y), f"{abs(force):.0f} N")
 
 
 def _tip(angle: float) -> Point:

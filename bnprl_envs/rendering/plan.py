@@ -183,10 +183,10 @@ class Plan(Scene):
         return "G" * (k in self.goals) + "x" * done
 
     def _keys(self, belief: bool) -> Iterator[Key]:
-        shapes = {"robot": "circle", "opponent": "diamond", "box": "square"}
-        for name in dict.fromkeys(piece.name for piece in self.pieces):
-            piece = next(piece for piece in self.pieces if piece.name == name)
-            yield shapes[piece.kind], piece.colour, name
+        for piece in self.pieces:
+            if piece.kind != "box":  # a box bears its name
+                shape = "diamond" if piece.kind == "opponent" else "circle"
+                yield shape, piece.colour, piece.name
         if self.goals:
             yield "square", theme.blend(theme.GOAL, theme.FLOOR, 0.55), "goal"
         if self.done is not None:
