@@ -106,11 +106,12 @@ def make_env(environment: EnvironmentSpec, mode: str) -> Any:
         OSError: the model file cannot be read.
     """
     if environment.id in registry.environment_ids():
-        if registry.entry(environment.id).kind.startswith("parallel"):
-            import pettingzoo
+        if not registry.entry(environment.id).kind.startswith("parallel"):
+            return gym.make(environment.id, render_mode=mode)
+        import pettingzoo
 
-            return pettingzoo.make("parallel", environment.id, render_mode=mode)
-    elif (model := environment.model()) is not None:
+        return pettingzoo.make("parallel", environment.id, render_mode=mode)
+    if (model := environment.model()) is not None:
         from bnprl_envs.tabular import TabularEnv
         from bnprl_envs.tabular_parallel import TabularParallelEnv
 

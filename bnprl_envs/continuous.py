@@ -35,6 +35,7 @@ class ContinuousEnv(Rendered, gym.Env[Any, Any]):
         ValueError: an argument is out of range.
     """
 
+    metadata: dict[str, Any] = Rendered.metadata | {"render_fps": 10}
     discount: float
     action_names: tuple[str, ...]
     state_names: tuple[str, ...]

@@ -37,8 +37,8 @@ class Doors(Scene):
         for n in range(len(moment.doings)):
             x = canvas.width / 2 + gap * (n - (len(moment.doings) - 1) / 2)
             self._draw_agent(canvas, moment, n, x)
-        names = "agent" if len(moment.doings) == 1 else "agents"
-        keys = [("circle", theme.agent_colour(0), names), ("circle", theme.DANGER, "tiger")]
+        keys = [("circle", theme.agent_colour(n), d.agent) for n, d in enumerate(moment.doings)]
+        keys.append(("circle", theme.DANGER, "tiger"))
         if self._opened(moment):
             keys.append(("square", theme.GOAL, "opened; the tiger is placed anew"))
         if moment.belief is not None:
@@ -78,23 +78,21 @@ class Doors(Scene):
         canvas.text((x + width / 2, y + height + 15), below)
 
     def _draw_agent(self, canvas: Canvas, moment: Moment, n: int, x: float) -> None:
-        doing, colour = moment.doings[n], theme.agent_colour(n)
+        """Draw an agent that says what it did or heard."""
+        colour = theme.agent_colour(n)
+        bubble, width = theme.blend(colour, theme.PAPER, 0.25), 176.0
         canvas.circle((x, _FEET), 20, colour)
-        canvas.text((x, _FEET + 34), doing.agent, theme.SMALL)
-        listened = bool(moment.actions) and moment.actions[n] not in self.opens
-        words = doing.action if not listened else f"hears {doing.observation.replace('-', ' ')}"
+        canvas.text((x, _FEET + 34), moment.doings[n].agent, theme.SMALL)
+        canvas.polygon([(x - 7, _FEET - 36), (x + 7, _FEET - 36), (x, _FEET - 25)], bubble)
+        canvas.rectangle((x - width / 2, _FEET - 62), (width, 27), bubble, radius=8)
+        canvas.text((x, _FEET - 48.5), self._says(moment, n), width=width - 12)
+
+    def _says(self, moment: Moment, n: int) -> str:
         if not moment.actions:
-            words = "nothing heard yet"
-        elif not listened:
-            words = doing.action.replace("-", "s the ") + " door"
-        width = 176.0
-        corner = (x - width / 2, _FEET - 62)
-        canvas.polygon(
-            [(x - 7, _FEET - 36), (x + 7, _FEET - 36), (x, _FEET - 25)],
-            theme.blend(colour, theme.PAPER, 0.25),
-        )
-        canvas.rectangle(corner, (width, 27), theme.blend(colour, theme.PAPER, 0.25), radius=8)
-        canvas.text((x, _FEET - 48.5), words, width=width - 12)
+            return "nothing heard yet"
+        if moment.actions[n] in self.opens:
+            return f"opens the {_SIDES[self.opens.index(moment.actions[n])]} door"
+        return f"hears {moment.doings[n].observation.replace('-', ' ')}"
 
 
 def _draw_tiger(canvas: Canvas, centre: Point, radius: float) -> None:

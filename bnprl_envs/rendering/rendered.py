@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from bnprl_envs.rendering.window import Window
 
 RENDER_MODES = ("ansi", "rgb_array", "human")
-FPS = 4
 
 
 class Rendered:
@@ -34,7 +33,7 @@ class Rendered:
 
     metadata: dict[str, Any] = {  # noqa: RUF012 (declared so by Gymnasium)
         "render_modes": list(RENDER_MODES),
-        "render_fps": FPS,
+        "render_fps": 4,
         "render_shape": FRAME_SHAPE,
     }
     render_mode: str | None = None
@@ -67,7 +66,7 @@ class Rendered:
             from bnprl_envs.rendering.window import Window  # pygame
 
             self._window = Window(str(self), picture.shape)
-        self._window.show(picture, FPS)
+        self._window.show(picture, self.metadata["render_fps"])
         return None
 
     def close(self) -> None:

@@ -6,6 +6,9 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+import numpy.typing as npt
+
 from bnprl_envs.tables import FloatArray
 
 if TYPE_CHECKING:
@@ -55,7 +58,7 @@ class Scene(ABC):
         """Return the state as lines of plain text."""
 
 
-def frame(scene: Scene, moment: Moment) -> Any:
+def frame(scene: Scene, moment: Moment) -> npt.NDArray[np.uint8]:
     """Return the picture of a moment, uint8 of shape `FRAME_SHAPE`."""
     from bnprl_envs.rendering.canvas import Canvas  # Pillow, only where something is drawn
 
