@@ -66,7 +66,7 @@ class Pendulum(Scene):
         force = self._force(moment)
         arrow = "-->" if force > 0 else "<--" if force < 0 else "   "
         ends = f"angle {-self.fallen:.2f} [{''.join(scale)}] {self.fallen:.2f}"
-        return f"{ends}\npush {arrow} {force:+.0f} N"
+        return f"{ends}\npole {float(moment.state[0]):+.4f} rad, push {arrow} {force:+.0f} N"
 
     def _force(self, moment: Moment) -> float:
         return self.pushes[moment.actions[0]] if moment.actions else 0.0
