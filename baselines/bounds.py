@@ -1,12 +1,16 @@
-"""`bnprl bounds`: how good an answer can be, computed from the model."""
+"""`bnprl bounds`: how good an answer can be, computed from the model or simulated without one."""
 
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
+import numpy as np
+import numpy.typing as npt
 from tqdm import tqdm
 
 from baselines.evaluation import EnvironmentSpec
@@ -18,9 +22,12 @@ from bnprl_envs.model import TabularModel
 if TYPE_CHECKING:
     from baselines.cli import Bounds
 
+FloatArray = npt.NDArray[np.float64]
 Progress = Callable[[float, float], None]
 """Called with the seconds used and the best value so far."""
 
+COPIES = 1000
+"""Episodes simulated at a time."""
 _TIMED = "{desc} {percentage:3.0f}%|{bar}| {n:.0f}/{total:g} s{postfix}"
 
 
@@ -32,14 +39,14 @@ class Line:
         name: what it is the value of.
         kind: how it relates to the optimum.
         reference: name of the registry's value to show beside it; "" for none.
-        compute: returns the value.
+        compute: returns the value, or the returns (n,) of simulated episodes.
         timed: whether it takes the seconds given.
     """
 
     name: str
     kind: str
     reference: str
-    compute: Callable[[Progress], float]
+    compute: Callable[[Progress], float | FloatArray]
     timed: bool = False
 
 
@@ -50,13 +57,10 @@ def print_bounds(options: Bounds) -> int:
             raise ValueError(f"--seconds: {options.seconds}, must be over 0 and finite")
         if options.seed < 0:
             raise ValueError(f"--seed: {options.seed}, must be at least 0")
-        model = _solvable(options.id, options.discount)
-    values = {
-        line: _compute(line, options)
-        for line in (*exact_lines(model), *search_lines(model, options.seconds, options.seed))
-    }
-    print(f"{options.id}: expected discounted return, discount {model.discount:g}")
-    _print_table(_table(values, _references(options.id, model)))
+        lines, discount = _lines(options)
+    values = {line: _compute(line, options) for line in lines}
+    print(f"{options.id}: expected discounted return, discount {discount:g}")
+    _print_table(_table(values, _references(options.id, discount)))
     return 0
 
 
@@ -106,7 +110,9 @@ def search_lines(model: TabularModel, seconds: float, seed: int) -> list[Line]:
         return found[-1].value
 
     def stochastic(progress: Progress) -> float:
-        return memoryless.stochastic_memoryless_policy(
+        from bnprl_envs.stochastic_memoryless import stochastic_memoryless_policy
+
+        return stochastic_memoryless_policy(
             model,
             restarts=None,
             seconds=seconds,
@@ -130,6 +136,57 @@ def search_lines(model: TabularModel, seconds: float, seed: int) -> list[Line]:
     ]
 
 
+def simulated_lines(id: str, seconds: float, seed: int) -> list[Line]:
+    """Return policies that a person writes down, to be run as often as there is time."""
+    from bnprl_envs import hand_coded
+
+    envs = hand_coded.make_batch(id, COPIES)
+
+    def simulate(policy: hand_coded.Policy, progress: Progress) -> FloatArray:
+        rng, began = np.random.default_rng(seed), time.perf_counter()
+        returns: list[FloatArray] = []
+        used = 0.0
+        while not returns or used < seconds:
+            returns.append(hand_coded.simulated_returns(envs, policy, rng))
+            used = time.perf_counter() - began
+            progress(used, float(np.mean(returns)))
+        return np.concatenate(returns)
+
+    best = list(hand_coded.POLICIES[id])[-1]
+    policies = {"random": hand_coded.uniform_policy(envs), **hand_coded.POLICIES[id]}
+    return [
+        Line(
+            name,
+            "policy, simulated",
+            "lower" if name == best else name,
+            partial(simulate, policy),
+            timed=True,
+        )
+        for name, policy in policies.items()
+    ]
+
+
+def _lines(options: Bounds) -> tuple[list[Line], float]:
+    """Return what to compute of an environment or file, and its discount.
+
+    Raises:
+        ValueError: there is nothing to compute from, or the discount does not fit.
+        OSError: the model file cannot be read.
+    """
+    if options.id in registry.environment_ids():
+        entry = registry.entry(options.id)
+        if entry.kind in ("class", "parallel-class"):
+            if options.discount not in (None, entry.discount):
+                raise ValueError(
+                    f"--discount: {options.discount}, {options.id} is simulated with "
+                    f"{entry.discount:g}"
+                )
+            return simulated_lines(options.id, options.seconds, options.seed), entry.discount
+    model = _solvable(options.id, options.discount)
+    searches = search_lines(model, options.seconds, options.seed)
+    return [*exact_lines(model), *searches], model.discount
+
+
 def _solvable(id: str, discount: float | None) -> TabularModel:
     """Return the model, with another discount if one is given.
 
@@ -151,7 +208,8 @@ def _solvable(id: str, discount: float | None) -> TabularModel:
     return model
 
 
-def _compute(line: Line, options: Bounds) -> float:
+def _compute(line: Line, options: Bounds) -> FloatArray:
+    """Return the value (1,), or the returns of simulated episodes (n,)."""
     with tqdm(
         total=options.seconds if line.timed else None,
         desc=line.name,
@@ -164,28 +222,38 @@ def _compute(line: Line, options: Bounds) -> float:
             bar.set_postfix_str(number(value, ".5f"), refresh=False)
             bar.update(min(used, options.seconds) - bar.n)
 
-        return float(line.compute(progress))
+        return np.atleast_1d(line.compute(progress))
 
 
-def _references(id: str, model: TabularModel) -> dict[str, registry.Reference]:
+def _references(id: str, discount: float) -> dict[str, registry.Reference]:
     """Return what the registry knows of this environment with this discount."""
-    if id not in registry.environment_ids() or registry.entry(id).discount != model.discount:
+    if id not in registry.environment_ids() or registry.entry(id).discount != discount:
         return {}
     return {reference.name: reference for reference in registry.entry(id).references}
 
 
-def _table(values: dict[Line, float], references: dict[str, registry.Reference]) -> list[list[str]]:
+def _table(
+    values: dict[Line, FloatArray], references: dict[str, registry.Reference]
+) -> list[list[str]]:
     """Return the cells, header first; references without a line come last."""
     rows = [["", "kind", "value", *(["reference", "source"] if references else [])]]
     left = dict(references)
     for line, value in values.items():
-        rows.append([line.name, line.kind, number(value, ".5f")])
+        rows.append([line.name, line.kind, _value_cell(value)])
         if references:
             rows[-1] += _reference_cells(left.pop(line.reference, None))
     return rows + [
         [REFERENCE_NAMES.get(name, name), "reference", DASH, *_reference_cells(reference)]
         for name, reference in left.items()
     ]
+
+
+def _value_cell(value: FloatArray) -> str:
+    """Return a value, or the mean of some returns with its standard error."""
+    mean = number(float(value.mean()), ".5f")
+    if value.size == 1:
+        return mean
+    return f"{mean} ± {value.std(ddof=1) / math.sqrt(value.size):.2g}"
 
 
 def _reference_cells(reference: registry.Reference | None) -> list[str]:

@@ -19,6 +19,8 @@ _PRECISION = 1e-11
 """Largest error of a value while climbing, in units of the largest possible value."""
 _GAIN = 1e-9
 """Smallest gain that counts, in the same units."""
+_KICK = 0.2
+"""Share of the actions redrawn where a climb begins near known policies."""
 
 
 class _Tables(NamedTuple):
@@ -89,9 +91,21 @@ class Ascent:
             np.repeat(np.array(action_sizes, dtype=np.int64), self.sizes),
         )
 
-    def random_policies(self, random: np.random.Generator) -> IntArray:
-        """Return actions drawn uniformly (C,)."""
-        return random.integers(self.tables.choices)
+    def restart(
+        self,
+        random: np.random.Generator,
+        late: Callable[[], bool],
+        near: IntArray | None = None,
+    ) -> tuple[float, IntArray]:
+        """Climb from random policies, or from known ones (C,), a fifth of their actions redrawn.
+
+        Returns:
+            The value of the local optimum, and its actions (C,).
+        """
+        policies = random.integers(self.tables.choices)
+        if near is not None:
+            policies = np.where(random.random(near.size) < _KICK, policies, near)
+        return self.climb(policies, random, late), policies
 
     def climb(
         self, policies: IntArray, random: np.random.Generator, late: Callable[[], bool]

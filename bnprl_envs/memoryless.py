@@ -9,20 +9,15 @@ import itertools
 import math
 import time
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import minimize
-from scipy.special import log_softmax
 
 from bnprl_envs.model import TabularModel
 from bnprl_envs.planning import infinite_horizon_discount
-from bnprl_envs.sensor_chain import SensorChain, sensor_chain, solve_chain
+from bnprl_envs.sensor_chain import sensor_chain, solve_chain
 from bnprl_envs.tables import FloatArray
-
-if TYPE_CHECKING:
-    from bnprl_envs.coordinate_ascent import Ascent
 
 IntArray = npt.NDArray[np.int64]
 Progress = Callable[[float, float], None]
@@ -30,10 +25,6 @@ Progress = Callable[[float, float], None]
 
 _ENOUGH = 10
 """Restarts for each policy that there is, after which no better one is expected."""
-_CLIMBS = 10
-"""Deterministic local optima, the best of which begins a stochastic ascent."""
-_NEAR = 4.0
-"""Added to the logits of a deterministic policy's actions where stochastic ascent begins."""
 
 
 class JointPolicy(NamedTuple):
@@ -46,19 +37,6 @@ class JointPolicy(NamedTuple):
     """
 
     policies: list[list[int]]
-    value: float
-
-
-class StochasticPolicy(NamedTuple):
-    """A stochastic memoryless policy of one agent.
-
-    Attributes:
-        probabilities: (O + 1, A) action probabilities after each observation; the last row is
-            for the first action.
-        value: at the start, exactly.
-    """
-
-    probabilities: FloatArray
     value: float
 
 
@@ -81,7 +59,7 @@ def memoryless_value(
     chosen = infinite_horizon_discount(model, discount)
     if len(policies) != model.n_agents:
         raise ValueError(f"policies: {len(policies)} of them, must be one for each agent")
-    tables = [_table(model, agent, policy) for agent, policy in enumerate(policies)]
+    tables = [policy_table(model, agent, policy) for agent, policy in enumerate(policies)]
     return solve_chain(sensor_chain(model), _joint_table(tables), chosen).value
 
 
@@ -97,8 +75,10 @@ def memoryless_joint_policy(
     """Search the best deterministic memoryless joint policy.
 
     Coordinate ascent on the exact value: one agent's action after one observation at a time is
-    set to the best one until nothing improves; begun again from random policies. A local
-    search: the best of the restarts is a lower bound of the best there is.
+    set to the best one until nothing improves; begun again from random policies, and every other
+    time from the best ones so far with a fifth of their actions redrawn (iterated local search;
+    Lourenço, Martin and Stützle 2003). The best of the restarts is a lower bound of the best
+    there is.
 
     It is over, too, when the restarts outnumber the policies that there are by ten to one.
 
@@ -120,17 +100,17 @@ def memoryless_joint_policy(
     from bnprl_envs.coordinate_ascent import Ascent  # numba: imported where it is needed
 
     chosen = infinite_horizon_discount(model, discount)
-    _check_limits(restarts, seconds)
+    check_limits(restarts, seconds)
     chain = sensor_chain(model)
     ascent = Ascent(chain, model.action_sizes, model.observation_sizes, chosen)
     random = np.random.default_rng(seed)
-    best, policies = _climb(ascent, random, late=lambda: True)  # compiles it
-    clock = _Clock(seconds, on_progress)
+    best, policies = ascent.restart(random, late=lambda: True)  # compiles it
+    clock = Clock(seconds, on_progress)
     enough = _ENOUGH * math.prod(ascent.tables.choices.tolist())
     for restart in itertools.count():
         if restart in (restarts, enough) or (restart and clock.late()):
             break
-        value, found = _climb(ascent, random, clock.late)
+        value, found = ascent.restart(random, clock.late, near=policies if restart % 2 else None)
         if value > best:
             best, policies = value, found
         clock.report(best)
@@ -138,116 +118,9 @@ def memoryless_joint_policy(
     return JointPolicy(lists, memoryless_value(model, lists, chosen))
 
 
-def stochastic_memoryless_policy(
-    model: TabularModel,
-    *,
-    restarts: int | None = 10,
-    seconds: float | None = None,
-    seed: int = 0,
-    discount: float | None = None,
-    initial: Sequence[int] | None = None,
-    on_progress: Progress | None = None,
-) -> StochasticPolicy:
-    """Search the best stochastic memoryless policy of one agent.
-
-    Ascent by L-BFGS on the exact value over the logits of softmax rows; the gradient takes one
-    more solve with the transposed system. Every other restart, the first included, begins near
-    the best of some deterministic local optima (of `memoryless_joint_policy`), the others at
-    random. A local search: the best of the restarts is a lower bound of the best there is.
-
-    Args:
-        model: partially observed, of one agent.
-        restarts: how often to begin; None: until the time is over.
-        seconds: time to spend; None: until the restarts are done.
-        seed: of the random logits.
-        discount: instead of the model's.
-        initial: (O + 1,) actions of a policy near which the first restart begins; what is
-            returned is not worse.
-        on_progress: called after every iteration.
-
-    Returns:
-        The probabilities and their value, which unpack as a pair.
-
-    Raises:
-        ValueError: the model has many agents or is fully observed, no limit is given or one is
-            out of range, `initial` does not fit, or the discount is not below 1.
-    """
-    from bnprl_envs.coordinate_ascent import Ascent
-
-    chosen = infinite_horizon_discount(model, discount)
-    _check_limits(restarts, seconds)
-    if model.n_agents != 1:
-        raise ValueError(f"model: {model.n_agents} agents, must be one")
-    chain = sensor_chain(model)
-    ascent = Ascent(chain, model.action_sizes, model.observation_sizes, chosen)
-    shape = (model.n_observations + 1, model.n_actions)
-    random = np.random.default_rng(seed)
-    _climb(ascent, random, late=lambda: True)  # compiles it
-    clock = _Clock(seconds, on_progress)
-    best = StochasticPolicy(np.full(shape, 1.0 / model.n_actions), -np.inf)
-    if initial is not None:
-        table = _table(model, 0, initial)
-        best = StochasticPolicy(table, solve_chain(chain, table, chosen).value)
-
-    def loss(logits: FloatArray) -> tuple[float, FloatArray]:
-        nonlocal best
-        policy = np.exp(log_softmax(logits.reshape(shape), axis=1))
-        value, gradient = _value_gradient(chain, policy, chosen)
-        if value > best.value:
-            best = StochasticPolicy(policy, value)
-        return -value, -gradient.ravel()
-
-    def after_iteration(intermediate_result: object) -> None:
-        clock.report(best.value)
-        if clock.late():
-            raise StopIteration
-
-    for restart in itertools.count():
-        if restart == restarts or (restart and clock.late()):
-            break
-        logits = random.normal(size=shape)
-        if restart == 0 and initial is not None:
-            logits += _NEAR * best.probabilities
-        elif restart % 2 == 0:
-            climbs = [_climb(ascent, random, clock.late) for _ in range(_CLIMBS)]
-            _, found = max(climbs, key=lambda climb: climb[0])
-            logits[np.arange(shape[0]), found] += _NEAR
-        minimize(
-            loss,
-            logits.ravel(),
-            jac=True,
-            method="L-BFGS-B",
-            callback=after_iteration,
-            options={"maxiter": 2000, "maxfun": 4000, "ftol": 1e-12, "gtol": 1e-9, "maxcor": 20},
-        )
-    return best
-
-
-def _climb(
-    ascent: Ascent, random: np.random.Generator, late: Callable[[], bool]
-) -> tuple[float, IntArray]:
-    """Return a local optimum above a random policy."""
-    policies = ascent.random_policies(random)
-    return ascent.climb(policies, random, late), policies
-
-
-def _value_gradient(
-    chain: SensorChain, policy: FloatArray, discount: float
-) -> tuple[float, FloatArray]:
-    """Return the value and its gradient in the logits (O + 1, A).
-
-    dJ / dpi(a | o) = sum_y d(y) O(o | y) u(a, s_y) with d the discounted visits (Sutton et al.
-    1999, the policy gradient theorem, here with exact sums).
-    """
-    value, action_values, visits = solve_chain(chain, policy, discount)
-    after = chain.sensor.T @ (visits[:, None] * action_values[:, chain.state].T)
-    first = action_values @ chain.start
-    slope = np.vstack([after, first])
-    mean = np.sum(policy * slope, axis=1, keepdims=True)
-    return value, np.asarray(policy * (slope - mean))
-
-
-def _table(model: TabularModel, agent: int, policy: Sequence[int] | npt.NDArray[Any]) -> FloatArray:
+def policy_table(
+    model: TabularModel, agent: int, policy: Sequence[int] | npt.NDArray[Any]
+) -> FloatArray:
     """Return one agent's action probabilities (O_i + 1, A_i).
 
     Raises:
@@ -281,7 +154,12 @@ def _joint_table(tables: Sequence[FloatArray]) -> FloatArray:
     return np.vstack([after, first])
 
 
-def _check_limits(restarts: int | None, seconds: float | None) -> None:
+def check_limits(restarts: int | None, seconds: float | None) -> None:
+    """Check what ends a search.
+
+    Raises:
+        ValueError: nothing does, or a limit is out of range.
+    """
     if restarts is None and seconds is None:
         raise ValueError("restarts: None, must be an int unless seconds are given")
     if restarts is not None and restarts < 1:
@@ -290,14 +168,18 @@ def _check_limits(restarts: int | None, seconds: float | None) -> None:
         raise ValueError(f"seconds: {seconds}, must be over 0")
 
 
-class _Clock:
+class Clock:
+    """The time a search has, and whom it tells."""
+
     def __init__(self, seconds: float | None, on_progress: Progress | None) -> None:
         self.seconds, self.on_progress = seconds, on_progress
         self.began = time.perf_counter()
 
     def late(self) -> bool:
+        """Whether the time is over."""
         return self.seconds is not None and time.perf_counter() - self.began >= self.seconds
 
     def report(self, value: float) -> None:
+        """Tell the best value so far."""
         if self.on_progress is not None:
             self.on_progress(time.perf_counter() - self.began, value)

@@ -13,29 +13,13 @@ import gymnasium as gym
 import pettingzoo
 
 from bnprl_envs.model import TabularModel
+from bnprl_envs.references import Reference
 from bnprl_envs.rendering.scene import Scene
 
 Kind = Literal["tabular", "class", "parallel-tabular", "parallel-class"]
 """What a factory returns: a `TabularModel` (seen through `TabularEnv` and `TabularVectorEnv`, or
 if parallel through `TabularParallelEnv`), or an environment itself (a class). Parallel ones are
 PettingZoo's, the others Gymnasium's."""
-
-
-@dataclass(frozen=True)
-class Reference:
-    """A published or computed discounted value to hold a learner against.
-
-    Attributes:
-        name: what has this value: "random", "memoryless" (best memoryless policy), "lower" and
-            "upper" (bounds of the optimum; "lower" is the best known policy), "dissertation", or
-            the name of a learner or policy.
-        value: expected discounted return from the start distribution.
-        source: where the number comes from.
-    """
-
-    name: str
-    value: float
-    source: str
 
 
 @dataclass(frozen=True)

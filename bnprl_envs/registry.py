@@ -1,14 +1,17 @@
-"""The one table of environments: id, factory, horizon, discount, reference values.
+"""The one table of environments: id, factory, horizon, discount.
 
-A new benchmark is one file in `bnprl_envs.benchmarks` and one entry here.
+A new benchmark is one file in `bnprl_envs.benchmarks`, one entry here, and the values that are
+known of it in `bnprl_envs.references`.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 from bnprl_envs.model import TabularModel
-from bnprl_envs.registration import Entry, Kind, Reference, build, find, register
+from bnprl_envs.references import REFERENCES, Reference
+from bnprl_envs.registration import Entry, Kind, build, find, register
 from bnprl_envs.registration import scene as entry_scene
 from bnprl_envs.rendering.scene import Scene
 
@@ -23,28 +26,6 @@ __all__ = [
     "scene",
 ]
 
-_EXACT = "exact: computed from the model"
-_SEARCH = "computed: search over memoryless policies of the model"
-_BOUNDS = "computed: point-based bounds of the model"
-_FIB = "computed: fast informed bound of the model"
-_BELIEFS = "exact: value iteration over the reachable beliefs"
-_SEQUENCES = "exact: search over the sequences of actions"
-_DISSERTATION = "source dissertation: online EM, 50,000 episodes"
-_COORDINATES = "computed: coordinate ascent over deterministic memoryless joint policies"
-_BEST_KNOWN = "best known: FB-HSVI on the published file"
-_CERTIFIED = "FB-HSVI on the published file: its value and certified gap"
-_CENTRALISED = "exact: the team as one agent that sees the state"
-_DEC_SBPR = "source dissertation: DEC-SBPR, Table 6.2"
-_MCEM = "Wu et al. 2013, as given in the source dissertation's Table 6.2"
-_MC_JESP = "MC-JESP on the simulator alone (2023), best of 20 runs"
-_ONE_QUEUE = "exact: the queues' chain; lines are alike"
-
-
-def _solved(value: float, source: str) -> tuple[Reference, Reference]:
-    """Return an optimum that is known: both of its bounds."""
-    return Reference("lower", value, source), Reference("upper", value, source)
-
-
 _ENTRIES = (
     Entry(
         id="bnprl/Gridworld-v0",
@@ -52,7 +33,6 @@ _ENTRIES = (
         factory="bnprl_envs.benchmarks.gridworld:gridworld",
         horizon=200,
         discount=0.9,
-        references=(Reference("random", 0.020083, _EXACT), *_solved(0.437831, _EXACT)),
     ),
     Entry(
         id="bnprl/InvertedPendulum-v0",
@@ -62,15 +42,6 @@ _ENTRIES = (
         horizon=3000,
         discount=0.95,
         kind="class",
-        references=(
-            Reference("random", -1.3219, "simulated: 1,000,000 episodes, standard error 0.0002"),
-            Reference(
-                "lower",
-                0.078,
-                "simulated: push against angle + 0.15 s velocity where beyond 0.04, "
-                "20,000 episodes, standard error 0.0004",
-            ),
-        ),
     ),
     Entry(
         id="bnprl/PuddleWorld-v0",
@@ -80,14 +51,6 @@ _ENTRIES = (
         horizon=1000,
         discount=0.99,
         kind="class",
-        references=(
-            Reference("random", -225.5, "simulated: 300,000 episodes, standard error 0.3"),
-            Reference(
-                "lower",
-                -30.02,
-                "simulated: east until x = 0.9, then north, 50,000 episodes, standard error 0.005",
-            ),
-        ),
     ),
     Entry(
         id="bnprl/BairdStar-v0",
@@ -95,7 +58,6 @@ _ENTRIES = (
         factory="bnprl_envs.benchmarks.baird_star:baird_star",
         horizon=1000,
         discount=0.99,
-        references=(Reference("random", 0.0, _EXACT), *_solved(0.0, _EXACT)),
     ),
     Entry(
         id="bnprl/ThreeNodes-v0",
@@ -103,7 +65,6 @@ _ENTRIES = (
         factory="bnprl_envs.benchmarks.three_nodes:three_nodes",
         horizon=100,
         discount=0.9999,
-        references=(Reference("random", 0.0, _EXACT), *_solved(0.0, _EXACT)),
     ),
     Entry(
         id="bnprl/Shuttle-v0",
@@ -111,12 +72,6 @@ _ENTRIES = (
         factory="bnprl_envs.benchmarks.shuttle:shuttle",
         horizon=251,
         discount=0.95,
-        references=(
-            Reference("random", -4.06186, _EXACT),
-            Reference("memoryless", 18.923360, _SEARCH),
-            Reference("lower", 32.88972, _BOUNDS),
-            Reference("upper", 32.889725, _FIB),
-        ),
     ),
     Entry(
         id="bnprl/CheeseMaze-v0",
@@ -124,11 +79,6 @@ _ENTRIES = (
         factory="bnprl_envs.benchmarks.cheese_maze:cheese_maze",
         horizon=251,
         discount=0.95,
-        references=(
-            Reference("random", 0.203640, _EXACT),
-            Reference("memoryless", 0.719342, _SEARCH),
-            *_solved(0.824174, _BELIEFS),
-        ),
     ),
     Entry(
         id="bnprl/Grid4x4-v0",
@@ -136,11 +86,6 @@ _ENTRIES = (
         factory="bnprl_envs.benchmarks.grid4x4:grid4x4",
         horizon=251,
         discount=0.95,
-        references=(
-            Reference("random", 0.310105, _EXACT),
-            Reference("memoryless", 0.826041, _SEARCH),
-            *_solved(0.854384, _BELIEFS),
-        ),
     ),
     Entry(
         id="bnprl/NoisyMaze1D-v0",
@@ -148,11 +93,6 @@ _ENTRIES = (
         factory="bnprl_envs.benchmarks.noisy_maze:noisy_maze_1d",
         horizon=251,
         discount=0.75,
-        references=(
-            Reference("random", 0.610753, _EXACT),
-            Reference("memoryless", 0.690012, _SEARCH),
-            *_solved(0.731050, _SEQUENCES),
-        ),
     ),
     Entry(
         id="bnprl/Tiger-v0",
@@ -160,11 +100,6 @@ _ENTRIES = (
         factory="bnprl_envs.benchmarks.tiger:tiger",
         horizon=251,
         discount=0.95,
-        references=(
-            Reference("random", -606.666667, _EXACT),
-            Reference("memoryless", -20.0, _SEARCH),
-            *_solved(19.371368, _BELIEFS),
-        ),
     ),
     Entry(
         id="bnprl/Hallway-v0",
@@ -172,13 +107,6 @@ _ENTRIES = (
         factory="bnprl_envs.benchmarks.hallway:hallway",
         horizon=251,
         discount=0.95,
-        references=(
-            Reference("random", 0.042233, _EXACT),
-            Reference("memoryless", 0.3756, _SEARCH),
-            Reference("lower", 0.514, _BOUNDS),
-            Reference("upper", 0.558, _BOUNDS),
-            Reference("dissertation", 0.3, _DISSERTATION),
-        ),
     ),
     Entry(
         id="bnprl/Hallway2-v0",
@@ -186,12 +114,6 @@ _ENTRIES = (
         factory="bnprl_envs.benchmarks.hallway:hallway2",
         horizon=251,
         discount=0.95,
-        references=(
-            Reference("random", 0.026485, _EXACT),
-            Reference("memoryless", 0.206136, _SEARCH),
-            Reference("lower", 0.32687, _BOUNDS),
-            Reference("upper", 0.517134, _FIB),
-        ),
     ),
     Entry(
         id="bnprl/Tag-v0",
@@ -199,12 +121,6 @@ _ENTRIES = (
         factory="bnprl_envs.benchmarks.tag:tag",
         horizon=251,
         discount=0.95,
-        references=(
-            Reference("random", -53.760587, _EXACT),
-            Reference("memoryless", -15.1, _SEARCH),
-            Reference("lower", -6.20, _BOUNDS),
-            Reference("dissertation", -8.0, _DISSERTATION),
-        ),
     ),
     Entry(
         id="bnprl/DecTiger-v0",
@@ -212,15 +128,6 @@ _ENTRIES = (
         factory="bnprl_envs.benchmarks.dec_tiger:dec_tiger",
         horizon=100,
         discount=0.9,
-        references=(
-            Reference("random", -462.222222, _EXACT),
-            Reference("memoryless", -20.0, _COORDINATES),
-            Reference("lower", 13.448, _BEST_KNOWN),
-            Reference("upper", 13.449, _CERTIFIED),
-            Reference("dissertation", -19.14, _DEC_SBPR),
-            Reference("mcem", -32.31, _MCEM),
-            Reference("mc-jesp", 13.44, _MC_JESP),
-        ),
         kind="parallel-tabular",
     ),
     Entry(
@@ -229,14 +136,6 @@ _ENTRIES = (
         factory="bnprl_envs.benchmarks.broadcast_channel:broadcast_channel",
         horizon=100,
         discount=0.9,
-        references=(
-            Reference("random", 3.180518, _EXACT),
-            Reference("memoryless", 9.19, _COORDINATES),
-            Reference("lower", 9.271, _BEST_KNOWN),
-            Reference("upper", 9.274, _CERTIFIED),
-            Reference("dissertation", 9.2, _DEC_SBPR),
-            Reference("mcem", 9.15, _MCEM),
-        ),
         kind="parallel-tabular",
     ),
     Entry(
@@ -245,15 +144,6 @@ _ENTRIES = (
         factory="bnprl_envs.benchmarks.recycling_robots:recycling_robots",
         horizon=100,
         discount=0.9,
-        references=(
-            Reference("random", 6.361766, _EXACT),
-            Reference("memoryless", 31.929134, _COORDINATES),
-            Reference("lower", 31.929134, _COORDINATES),
-            Reference("upper", 31.931, _CERTIFIED),
-            Reference("dissertation", 31.26, _DEC_SBPR),
-            Reference("mcem", 30.78, _MCEM),
-            Reference("mc-jesp", 31.92, _MC_JESP),
-        ),
         kind="parallel-tabular",
     ),
     Entry(
@@ -262,13 +152,6 @@ _ENTRIES = (
         factory="bnprl_envs.benchmarks.meeting_grid:meeting_grid",
         horizon=100,
         discount=0.9,
-        references=(
-            Reference("random", 0.144916, _EXACT),
-            Reference("memoryless", 5.819876, _COORDINATES),
-            Reference("lower", 5.819876, _COORDINATES),
-            Reference("upper", 5.947212, _CENTRALISED),
-            Reference("mc-jesp", 5.81, _MC_JESP),
-        ),
         kind="parallel-tabular",
     ),
     Entry(
@@ -277,15 +160,6 @@ _ENTRIES = (
         factory="bnprl_envs.benchmarks.box_pushing:box_pushing",
         horizon=100,
         discount=0.9,
-        references=(
-            Reference("random", -8.931549, _EXACT),
-            Reference("memoryless", 183.190148, _COORDINATES),
-            Reference("lower", 224.43, _BEST_KNOWN),
-            Reference("upper", 242.235831, _CENTRALISED),
-            Reference("dissertation", 77.65, _DEC_SBPR),
-            Reference("mcem", 59.95, _MCEM),
-            Reference("mc-jesp", 223.84, _MC_JESP),
-        ),
         kind="parallel-tabular",
     ),
     Entry(
@@ -294,15 +168,6 @@ _ENTRIES = (
         factory="bnprl_envs.benchmarks.mars_rovers:mars_rovers",
         horizon=100,
         discount=0.9,
-        references=(
-            Reference("random", -13.289684, _EXACT),
-            Reference("memoryless", 21.710312, _COORDINATES),
-            Reference("lower", 26.94, _BEST_KNOWN),
-            Reference("upper", 27.77, _CERTIFIED),
-            Reference("dissertation", 20.62, _DEC_SBPR),
-            Reference("mcem", 8.16, _MCEM),
-            Reference("mc-jesp", 26.45, _MC_JESP),
-        ),
         kind="parallel-tabular",
     ),
     Entry(
@@ -311,16 +176,11 @@ _ENTRIES = (
         factory="bnprl_envs.grid_traffic:GridTraffic",
         horizon=100,
         discount=0.9,
-        references=(
-            Reference("random", 0.159778, _ONE_QUEUE),
-            Reference("always-horizontal", 45.0, _ONE_QUEUE),
-            Reference("alternating", 73.205503, _ONE_QUEUE),
-        ),
         kind="parallel-class",
     ),
 )
 
-_TABLE = {row.id: row for row in _ENTRIES}
+_TABLE = {row.id: replace(row, references=REFERENCES[row.id]) for row in _ENTRIES}
 
 
 def environment_ids() -> tuple[str, ...]:

@@ -12,10 +12,10 @@ from bnprl_envs.benchmarks.hallway import hallway
 from bnprl_envs.memoryless import (
     memoryless_joint_policy,
     memoryless_value,
-    stochastic_memoryless_policy,
 )
 from bnprl_envs.model import TabularModel
 from bnprl_envs.planning import random_value
+from bnprl_envs.stochastic_memoryless import stochastic_memoryless_policy
 from bnprl_envs.tabular import TabularEnv
 
 BOX_PUSHING = Path(os.environ.get("BNPRL_REFERENCE_MODELS", "")) / "boxPushingUAI07.dpomdp"
@@ -140,7 +140,6 @@ class TestDeterministic:
             ("BroadcastChannel", 50, 9.190),
             ("MeetingGrid", 100, 5.8199),
             ("BoxPushing", 1500, 183.1901),
-            ("MarsRovers", 60, 21.7103),
         ],
     )
     def test_figures_of_the_benchmarks(self, name, restarts, value):

@@ -2,6 +2,7 @@ import re
 import subprocess
 import sys
 from itertools import pairwise
+from pathlib import Path
 
 import gymnasium as gym
 import pytest
@@ -9,8 +10,11 @@ from gymnasium.envs.registration import EnvSpec
 
 import bnprl_envs
 from bnprl_envs import registry
-from bnprl_envs.planning import mdp_value, random_value
+from bnprl_envs.memoryless import memoryless_value
+from bnprl_envs.planning import fib, mdp_value, random_value
+from bnprl_envs.stochastic_memoryless import stochastic_memoryless_policy
 
+ROOT = Path(__file__).parents[2]
 IDS = bnprl_envs.environment_ids()
 GYMNASIUM = [id for id in IDS if not bnprl_envs.entry(id).kind.startswith("parallel")]
 TABULAR = [id for id in IDS if bnprl_envs.entry(id).kind == "tabular"]
@@ -36,6 +40,44 @@ def test_an_entry_agrees_with_its_model(id):
     rungs.append(model.start @ mdp_value(model))
     assert all(low <= high + 1e-6 for low, high in pairwise(rungs))
     assert model.fully_observed or values["random"] < values["memoryless"] < values["lower"]
+
+
+@pytest.mark.parametrize("id", IDS)
+def test_every_reference_says_where_it_comes_from(id):
+    references = bnprl_envs.entry(id).references
+    assert len({reference.name for reference in references}) == len(references) > 1
+    for reference in references:
+        files = re.findall(r"pytest (\S+)", reference.source)
+        assert all((ROOT / file).is_file() for file in files)
+        assert reference.source[0].isalpha()
+
+
+LISTED = [(id, r) for id in IDS for r in bnprl_envs.entry(id).references if r.policy]
+
+
+@pytest.mark.parametrize(("id", "reference"), LISTED)
+def test_a_listed_policy_has_its_value_exactly(id, reference):
+    value = memoryless_value(bnprl_envs.model(id), list(map(list, reference.policy)))
+    assert value == pytest.approx(reference.value, abs=1e-6)
+
+
+@pytest.mark.parametrize("name", ["Shuttle", "CheeseMaze", "Grid4x4", "NoisyMaze1D", "Tiger"])
+def test_a_search_reaches_the_memoryless_value(name):
+    values = {r.name: r.value for r in bnprl_envs.entry(f"bnprl/{name}-v0").references}
+    found = stochastic_memoryless_policy(bnprl_envs.model(f"bnprl/{name}-v0"), restarts=10)
+    assert found.value == pytest.approx(values["memoryless"], abs=1e-5)
+
+
+@pytest.mark.parametrize("id", [id for id in IDS if "tabular" in bnprl_envs.entry(id).kind])
+def test_computed_upper_bounds(id):
+    model = bnprl_envs.model(id)
+    reference = next(r for r in bnprl_envs.entry(id).references if r.name == "upper")
+    if reference.source.startswith("fast informed bound"):
+        assert (fib(model) @ model.start).max() == pytest.approx(reference.value, abs=1e-6)
+    elif reference.source.startswith("exact: bnprl bounds"):
+        assert model.start @ mdp_value(model) == pytest.approx(reference.value, abs=1e-6)
+    else:
+        assert reference.value <= (fib(model) @ model.start).max() + 1e-6
 
 
 def test_arguments_reach_the_benchmark():
