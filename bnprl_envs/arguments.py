@@ -16,15 +16,39 @@ from bnprl_envs.tables import BoolArray
 IntArray = npt.NDArray[np.int64]
 
 
-def checked_limit(max_episode_steps: int | None) -> int | None:
-    """Return the limit.
+def checked_count(name: str, value: int) -> int:
+    """Return a count of things.
 
     Raises:
-        ValueError: it is below 1.
+        ValueError: it is no integer, or below 1.
     """
-    if max_episode_steps is not None and max_episode_steps < 1:
-        raise ValueError(f"max_episode_steps: {max_episode_steps}, must be at least 1")
-    return max_episode_steps
+    try:
+        number = index(value)
+    except TypeError:
+        number = 0
+    if number < 1:
+        raise ValueError(f"{name}: {value!r}, must be an integer, at least 1")
+    return number
+
+
+def checked_limit(limit: int | None, name: str = "max_episode_steps") -> int | None:
+    """Return the number of steps of an episode, None for no limit.
+
+    Raises:
+        ValueError: it is neither None nor an integer of at least 1.
+    """
+    return None if limit is None else checked_count(name, limit)
+
+
+def checked_flag(name: str, value: bool) -> bool:
+    """Return a flag.
+
+    Raises:
+        ValueError: it is neither True nor False.
+    """
+    if not isinstance(value, bool | np.bool_):
+        raise ValueError(f"{name}: {value!r}, must be True or False")
+    return bool(value)
 
 
 def check_render_mode(render_mode: str | None) -> None:

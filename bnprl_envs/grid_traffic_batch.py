@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
-from operator import index
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from gymnasium.spaces import MultiDiscrete
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from bnprl_envs.arguments import check_render_mode, checked_limit, checked_mask
+from bnprl_envs.arguments import check_render_mode, checked_count, checked_limit, checked_mask
 from bnprl_envs.tables import BoolArray
 from bnprl_envs.team import BatchStep, IntArray, checked_team_actions
 
@@ -67,15 +67,15 @@ class GridTrafficBatch(VectorEnv[IntArray, IntArray, Any]):
         render_mode: str | None = None,
     ) -> None:
         check_render_mode(render_mode)
-        self.num_envs = _positive("copies", copies)
-        self.rows = _positive("rows", rows)
-        self.columns = _positive("columns", columns)
-        self.capacity = _positive("capacity", capacity)
-        self.discharge = _positive("discharge", discharge)
-        if not 0.0 <= arrival_rate <= 1.0:
-            raise ValueError(f"arrival_rate: {arrival_rate}, must lie in [0, 1]")
-        if not 0.0 < discount <= 1.0:
-            raise ValueError(f"discount: {discount}, must lie in (0, 1]")
+        self.num_envs = checked_count("copies", copies)
+        self.rows = checked_count("rows", rows)
+        self.columns = checked_count("columns", columns)
+        self.capacity = checked_count("capacity", capacity)
+        self.discharge = checked_count("discharge", discharge)
+        if not isinstance(arrival_rate, Real) or not 0.0 <= arrival_rate <= 1.0:
+            raise ValueError(f"arrival_rate: {arrival_rate!r}, must lie in [0, 1]")
+        if not isinstance(discount, Real) or not 0.0 < discount <= 1.0:
+            raise ValueError(f"discount: {discount!r}, must lie in (0, 1]")
         self.arrival_rate = arrival_rate
         self.discount = discount
         self.max_episode_steps = checked_limit(max_episode_steps)
@@ -194,18 +194,3 @@ class GridTrafficBatch(VectorEnv[IntArray, IntArray, Any]):
     def _check_started(self) -> None:
         if not self._started:
             raise ResetNeeded("the environments have no states: call reset() first")
-
-
-def _positive(name: str, value: int) -> int:
-    """Return the integer.
-
-    Raises:
-        ValueError: it is none, or below 1.
-    """
-    try:
-        number = index(value)
-    except TypeError:
-        number = 0
-    if number < 1:
-        raise ValueError(f"{name}: {value!r}, must be an integer, at least 1")
-    return number

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Never
 
@@ -18,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.sparse import csr_array
 
+from bnprl_envs.names import Names, index_names
 from bnprl_envs.tables import (
     DENSE_LIMIT,
     BoolArray,
@@ -36,24 +36,9 @@ from bnprl_envs.tables import (
 if TYPE_CHECKING:
     from bnprl_envs.sampling import ModelSampler
 
+__all__ = ["IntArray", "Names", "TabularModel"]
+
 IntArray = npt.NDArray[np.int64]
-
-
-@dataclass(frozen=True)
-class Names:
-    """The words behind the indices, for messages, files and pictures.
-
-    Attributes:
-        states: one name a state (S).
-        actions: for each agent, one name an action.
-        observations: for each agent, one name an observation.
-        agents: one name an agent (N).
-    """
-
-    states: tuple[str, ...]
-    actions: tuple[tuple[str, ...], ...]
-    observations: tuple[tuple[str, ...], ...]
-    agents: tuple[str, ...]
 
 
 class TabularModel:
@@ -127,7 +112,7 @@ class TabularModel:
             transition_rows=moves,
             observation_rows=seen,
             _reward=as_reward(reward, (n_actions, n_states, n_states, seen.shape[1])),
-            names=names or _index_names(n_states, actions, observations),
+            names=names or index_names(n_states, actions, observations),
         )
         self.validate()
         normalise_rows(moves)
@@ -315,17 +300,3 @@ class TabularModel:
                 "use the sparse rows"
             )
         return frozen(rows.toarray().reshape(self.n_actions, self.n_states, -1))
-
-
-def _index_names(
-    n_states: int, action_sizes: Sequence[int], observation_sizes: Sequence[int]
-) -> Names:
-    def count(size: int) -> tuple[str, ...]:
-        return tuple(map(str, range(size)))
-
-    return Names(
-        states=count(n_states),
-        actions=tuple(map(count, action_sizes)),
-        observations=tuple(map(count, observation_sizes)),
-        agents=tuple(f"agent_{n}" for n in range(len(action_sizes))),
-    )

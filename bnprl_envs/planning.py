@@ -46,7 +46,9 @@ def belief_update(
     before = np.asarray(belief, dtype=np.float64)
     if before.shape != (model.n_states,):
         raise ValueError(f"belief: shape {before.shape}, must be ({model.n_states},)")
-    if not (before >= 0).all() or abs(before.sum() - 1) > 1e-6:
+    if not (before >= 0).all():
+        raise ValueError(f"belief: holds {before.min():.9g}, must be a distribution")
+    if abs(before.sum() - 1) > 1e-6:
         raise ValueError(f"belief: sums to {before.sum():.9g}, must be a distribution")
     if not 0 <= action < model.n_actions:
         raise ValueError(f"action: {action}, must lie in [0, {model.n_actions})")

@@ -9,7 +9,7 @@ from gymnasium.spaces import Box, Discrete
 from gymnasium.vector import AutoresetMode
 from numba import njit
 
-from bnprl_envs.arguments import checked_noise
+from bnprl_envs.arguments import checked_flag, checked_noise
 from bnprl_envs.continuous import ContinuousEnv, ContinuousVectorEnv
 from bnprl_envs.rendering.puddles import Puddles
 from bnprl_envs.tables import BoolArray, FloatArray
@@ -89,7 +89,7 @@ class PuddleWorldEnv(ContinuousEnv):
         max_episode_steps: int | None = None,
         render_mode: str | None = None,
     ) -> None:
-        self.uniform_start = bool(uniform_start)
+        self.uniform_start = checked_flag("uniform_start", uniform_start)
         self.noise = checked_noise(noise, largest=1.0)
         super().__init__(
             _observation_space(),
@@ -143,7 +143,7 @@ class PuddleWorldVectorEnv(ContinuousVectorEnv):
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         render_mode: str | None = None,
     ) -> None:
-        self.uniform_start = bool(uniform_start)
+        self.uniform_start = checked_flag("uniform_start", uniform_start)
         self.noise = checked_noise(noise, largest=1.0)
         super().__init__(
             num_envs,

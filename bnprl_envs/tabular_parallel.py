@@ -18,6 +18,7 @@ from gymnasium.spaces import MultiDiscrete
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
+from bnprl_envs.arguments import checked_count
 from bnprl_envs.model import Names, TabularModel
 from bnprl_envs.rendering.scene import Moment, Scene
 from bnprl_envs.tabular import TabularEnv, model_scene, resolved_model, tabular_moment
@@ -141,8 +142,7 @@ class TabularParallelBatch(VectorEnv[IntArray, IntArray, Any]):
     ) -> None:
         from bnprl_envs.tabular_vector import TabularVectorEnv  # numba: only for batches
 
-        if copies < 1:
-            raise ValueError(f"copies: {copies}, must be at least 1")
+        checked_count("copies", copies)
         self.model = resolved_model(model, arguments)
         self._joint = TabularVectorEnv(
             team_as_one(self.model),

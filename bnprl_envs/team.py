@@ -171,10 +171,8 @@ def cycle_limit(max_episode_steps: int | None, max_cycles: int | None) -> int | 
     Raises:
         ValueError: one of them is below 1.
     """
-    if max_cycles is not None and max_cycles < 1:
-        raise ValueError(f"max_cycles: {max_cycles}, must be at least 1")
-    checked = checked_limit(max_episode_steps)
-    return max_cycles if checked is None else checked
+    cycles, steps = checked_limit(max_cycles, "max_cycles"), checked_limit(max_episode_steps)
+    return cycles if steps is None else steps
 
 
 def checked_team_actions(

@@ -16,6 +16,7 @@ from bnprl_envs.arguments import (
     check_render_mode,
     checked_actions,
     checked_autoreset_mode,
+    checked_count,
     checked_limit,
     checked_mask,
 )
@@ -71,8 +72,7 @@ class NativeVectorEnv(VectorEnv[npt.NDArray[Any], IntArray, npt.NDArray[Any]]):
         autoreset_mode: AutoresetMode | str,
         render_mode: str | None,
     ) -> None:
-        if num_envs < 1:
-            raise ValueError(f"num_envs: {num_envs}, must be at least 1")
+        checked_count("num_envs", num_envs)
         check_render_mode(render_mode)
         self.num_envs = num_envs
         self.discount = discount

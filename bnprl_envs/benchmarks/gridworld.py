@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from numbers import Real
-from operator import index
 
 import numpy as np
 from scipy.sparse import csr_array
 
+from bnprl_envs.arguments import checked_count
 from bnprl_envs.benchmarks.mazes import COMPASS, compass_ends
 from bnprl_envs.model import Names, TabularModel
 from bnprl_envs.rendering.plan import Piece, Plan
@@ -61,7 +61,7 @@ def gridworld(rows: int = 5, columns: int = 5, slip: float = 0.1) -> TabularMode
         ValueError: a size is no integer above 0, the grid has a single cell, or slip is outside
             [0, 1).
     """
-    rows, columns = _size("rows", rows), _size("columns", columns)
+    rows, columns = checked_count("rows", rows), checked_count("columns", columns)
     if rows * columns < 2:
         raise ValueError("rows, columns: 1, 1, must make at least two cells")
     if not isinstance(slip, Real) or not 0.0 <= slip < 1.0:
@@ -97,16 +97,6 @@ def gridworld_scene(rows: int = 5, columns: int = 5, **_: object) -> Plan:
     """Return what the grid looks like."""
     cells = [divmod(state, columns) for state in range(rows * columns)]
     return Plan(cells, [Piece("agent", "robot", np.arange(len(cells)))], goals=[columns - 1])
-
-
-def _size(name: str, value: int) -> int:
-    try:
-        size = index(value)
-    except TypeError:
-        size = 0
-    if size < 1:
-        raise ValueError(f"{name}: {value!r}, must be an integer of at least 1")
-    return size
 
 
 def _names(n_states: int) -> Names:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from bnprl_envs.arguments import checked_flag
 from bnprl_envs.model import IntArray, Names, TabularModel
 from bnprl_envs.tables import BoolArray, FloatArray
 
@@ -57,8 +58,7 @@ def maze_model(
     Raises:
         ValueError: `resetting` is neither True nor False.
     """
-    if not isinstance(resetting, bool | np.bool_):
-        raise ValueError(f"resetting: {resetting!r}, must be True or False")
+    checked_flag("resetting", resetting)
     start = ~goal / np.count_nonzero(~goal)
     transition = np.array(moves, dtype=np.float64)
     transition[:, goal] = start if resetting else np.eye(goal.size)[goal]

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.sparse import csr_array
 
+from bnprl_envs.arguments import checked_flag
 from bnprl_envs.model import Names, TabularModel
 from bnprl_envs.rendering.plan import Piece, Plan
 from bnprl_envs.tables import BoolArray, FloatArray
@@ -70,7 +71,11 @@ def tag(resetting: bool = False) -> TabularModel:
 
     Returns:
         The model: S = 870, A = 5, O = 30, discount .95.
+
+    Raises:
+        ValueError: `resetting` is neither True nor False.
     """
+    checked_flag("resetting", resetting)
     tagged = np.tile(np.arange(_N_PLACES) == _TAGGED, _N_CELLS)
     return TabularModel(
         _transition(),

@@ -191,10 +191,10 @@ def test_q_learning_diverges_on_the_classical_features_and_not_on_a_table():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"rows": 0}, "rows: 0, must be an integer of at least 1"),
-        ({"columns": -3}, "columns: -3, must be an integer of at least 1"),
-        ({"rows": 5.0}, "rows: 5.0, must be an integer of at least 1"),
-        ({"rows": [5]}, r"rows: \[5\], must be an integer of at least 1"),
+        ({"rows": 0}, "rows: 0, must be an integer, at least 1"),
+        ({"columns": -3}, "columns: -3, must be an integer, at least 1"),
+        ({"rows": 5.0}, "rows: 5.0, must be an integer, at least 1"),
+        ({"rows": [5]}, r"rows: \[5\], must be an integer, at least 1"),
         ({"rows": 1, "columns": 1}, "rows, columns: 1, 1, must make at least two cells"),
         ({"slip": 1.0}, r"slip: 1.0, must lie in \[0, 1\)"),
         ({"slip": -0.1}, r"slip: -0.1, must lie in \[0, 1\)"),

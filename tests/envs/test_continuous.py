@@ -226,7 +226,7 @@ def test_invalid_actions_are_named(make, actions, message):
 
 @pytest.mark.parametrize("make", VECTOR)
 def test_bad_batches(make):
-    with pytest.raises(ValueError, match="num_envs: 0, must be at least 1"):
+    with pytest.raises(ValueError, match="num_envs: 0, must be an integer, at least 1"):
         make(0)
     with pytest.raises(ValueError, match="'NextStep', 'SameStep', 'Disabled'"):
         make(2, autoreset_mode="never")

@@ -266,7 +266,7 @@ def test_reference_values():
         ("noise", 10.5, r"noise: 10\.5, must lie in \[0, 10\]"),
         ("noise", math.nan, "noise: nan"),
         ("noise", "much", "noise: 'much'"),
-        ("max_episode_steps", 0, "max_episode_steps: 0, must be at least 1"),
+        ("max_episode_steps", 0, "max_episode_steps: 0, must be an integer, at least 1"),
         ("render_mode", "ascii", "render_mode: 'ascii'"),
     ],
 )

@@ -231,7 +231,7 @@ def test_reference_values():
         ("noise", -0.1, r"noise: -0\.1, must lie in \[0, 1\]"),
         ("noise", math.inf, "noise: inf"),
         ("noise", None, "noise: None"),
-        ("max_episode_steps", -5, "max_episode_steps: -5, must be at least 1"),
+        ("max_episode_steps", -5, "max_episode_steps: -5, must be an integer, at least 1"),
         ("render_mode", "ascii", "render_mode: 'ascii'"),
     ],
 )

@@ -217,7 +217,7 @@ def test_bad_constructions(make):
         )
     with pytest.raises(ValueError, match=r"terminal state '3' has probability 0\.25"):
         make(chain().replace(start=np.full(4, 0.25)))
-    with pytest.raises(ValueError, match="max_episode_steps: 0, must be at least 1"):
+    with pytest.raises(ValueError, match="max_episode_steps: 0, must be an integer, at least 1"):
         make(chain(), max_episode_steps=0)
     with pytest.raises(ValueError, match="render_mode: 'ascii'"):
         make(chain(), render_mode="ascii")
@@ -400,7 +400,7 @@ def test_bad_reset_masks(mask, error):
 
 
 def test_bad_batches():
-    with pytest.raises(ValueError, match="num_envs: 0, must be at least 1"):
+    with pytest.raises(ValueError, match="num_envs: 0, must be an integer, at least 1"):
         TabularVectorEnv(chain(), 0)
     with pytest.raises(ValueError, match="'NextStep', 'SameStep', 'Disabled'"):
         TabularVectorEnv(chain(), 2, autoreset_mode="never")

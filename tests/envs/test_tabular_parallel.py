@@ -247,7 +247,7 @@ def test_copies_go_on_alike():
 def test_bad_constructions(make):
     with pytest.raises(ValueError, match=r"terminal state '3' has probability 0\.25"):
         make(team_chain().replace(start=np.full(4, 0.25)))
-    with pytest.raises(ValueError, match="max_episode_steps: 0, must be at least 1"):
+    with pytest.raises(ValueError, match="max_episode_steps: 0, must be an integer, at least 1"):
         make(team_chain(), max_episode_steps=0)
     with pytest.raises(ValueError, match="render_mode: 'ascii'"):
         make(team_chain(), render_mode="ascii")
@@ -260,9 +260,9 @@ def test_bad_constructions(make):
 
 
 def test_bad_limits_and_copies():
-    with pytest.raises(ValueError, match="max_cycles: 0, must be at least 1"):
+    with pytest.raises(ValueError, match="max_cycles: 0, must be an integer, at least 1"):
         TabularParallelEnv(team_chain(), max_cycles=0)
-    with pytest.raises(ValueError, match="copies: 0, must be at least 1"):
+    with pytest.raises(ValueError, match="copies: 0, must be an integer, at least 1"):
         TabularParallelBatch(team_chain(), 0)
 
 
