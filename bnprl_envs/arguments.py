@@ -40,6 +40,28 @@ def checked_limit(limit: int | None, name: str = "max_episode_steps") -> int | N
     return None if limit is None else checked_count(name, limit)
 
 
+def checked_probability(name: str, value: float) -> float:
+    """Return a probability.
+
+    Raises:
+        ValueError: it is no number in [0, 1].
+    """
+    if not isinstance(value, Real) or not 0.0 <= value <= 1.0:
+        raise ValueError(f"{name}: {value!r}, must lie in [0, 1]")
+    return float(value)
+
+
+def checked_discount(discount: float) -> float:
+    """Return the factor of the values.
+
+    Raises:
+        ValueError: it is no number in (0, 1].
+    """
+    if not isinstance(discount, Real) or not 0.0 < discount <= 1.0:
+        raise ValueError(f"discount: {discount!r}, must lie in (0, 1]")
+    return float(discount)
+
+
 def checked_flag(name: str, value: bool) -> bool:
     """Return a flag.
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import cached_property
-from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,14 @@ from gymnasium.spaces import MultiDiscrete
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from bnprl_envs.arguments import check_render_mode, checked_count, checked_limit, checked_mask
+from bnprl_envs.arguments import (
+    check_render_mode,
+    checked_count,
+    checked_discount,
+    checked_limit,
+    checked_mask,
+    checked_probability,
+)
 from bnprl_envs.tables import BoolArray
 from bnprl_envs.team import BatchStep, IntArray, checked_team_actions
 
@@ -72,12 +78,8 @@ class GridTrafficBatch(VectorEnv[IntArray, IntArray, Any]):
         self.columns = checked_count("columns", columns)
         self.capacity = checked_count("capacity", capacity)
         self.discharge = checked_count("discharge", discharge)
-        if not isinstance(arrival_rate, Real) or not 0.0 <= arrival_rate <= 1.0:
-            raise ValueError(f"arrival_rate: {arrival_rate!r}, must lie in [0, 1]")
-        if not isinstance(discount, Real) or not 0.0 < discount <= 1.0:
-            raise ValueError(f"discount: {discount!r}, must lie in (0, 1]")
-        self.arrival_rate = arrival_rate
-        self.discount = discount
+        self.arrival_rate = checked_probability("arrival_rate", arrival_rate)
+        self.discount = checked_discount(discount)
         self.max_episode_steps = checked_limit(max_episode_steps)
         self.n_agents = rows * columns
         self._sizes = np.full(self.n_agents, 2)

@@ -75,7 +75,7 @@ REFERENCES: dict[str, tuple[Reference, ...]] = {
     "bnprl/Shuttle-v0": (
         Reference("random", -4.06186, _EXACT),
         Reference("memoryless", 18.923360, _10_S),
-        Reference("lower", 32.88972, _10_S),
+        Reference("lower", 32.88972, "search: bnprl bounds --seconds 60"),
         Reference("upper", 32.889725, _FIB),
     ),
     "bnprl/CheeseMaze-v0": (
