@@ -56,7 +56,7 @@ class Puddles(Scene):
         )
 
     def text(self, moment: Moment) -> str:
-        """Return the square as cells: R the agent, ~ puddles, G the goal."""
+        """Return the square as cells, R the agent, ~ puddles, G the goal; and where R is."""
         column, row = (min(int(_CELLS * float(z)), _CELLS - 1) for z in moment.state)
         lines = []
         for y in reversed(range(_CELLS)):
@@ -66,7 +66,8 @@ class Puddles(Scene):
                 marks[column] = "R"
             lines.append("#" + "".join(marks) + "#")
         edge = "#" * (_CELLS + 2)
-        return "\n".join([edge, *lines, edge])
+        across, up = moment.state[0], moment.state[1]
+        return "\n".join([edge, *lines, edge, f"x {across:.3f}  y {up:.3f}"])
 
     def _mark(self, point: Point) -> str:
         if sum(point) >= self.goal:
