@@ -1,6 +1,7 @@
 """Agents that learn Bayesian nonparametric policies and value functions."""
 
 from bnprl_agents.agent import Agent, load
+from bnprl_agents.controllers.actor_critic import ActorCritic, ActorCriticConfig
 from bnprl_agents.controllers.controller import Controller, random_controller
 from bnprl_agents.controllers.em import BatchEM, BatchEMConfig
 from bnprl_agents.controllers.messages import Counts, soft_counts
@@ -14,6 +15,8 @@ from bnprl_agents.random_agent import RandomAgent, RandomConfig
 from bnprl_agents.training import Progress, train
 
 __all__ = [
+    "ActorCritic",
+    "ActorCriticConfig",
     "Agent",
     "BatchEM",
     "BatchEMConfig",

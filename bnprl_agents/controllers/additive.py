@@ -1,0 +1,121 @@
+"""Controllers whose rows share strength: additive logits, and ascent on them.
+
+successor[a, o, i, :] = softmax(move[a, i, :] + sight[o, :]): what an observation says about the
+next node is learned from every action and node at once, where free rows (a, o, i) learn alone.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from bnprl_agents.controllers.controller import Controller
+from bnprl_agents.controllers.messages import Counts
+from bnprl_agents.episodes import FloatArray
+
+
+class AdditiveLogits(NamedTuple):
+    """Unbounded parameters of a controller.
+
+    Attributes:
+        initial: (O, Z) logits of the first node.
+        action: (Z, A) logits of each node's actions.
+        move: (A, Z, Z) part of the successor's logits that the action and the node give.
+        sight: (O, Z) part of them that the observation gives.
+    """
+
+    initial: FloatArray
+    action: FloatArray
+    move: FloatArray
+    sight: FloatArray
+
+    def controller(self) -> Controller:
+        """The controller that the logits stand for."""
+        return Controller(
+            initial=softmax(self.initial),
+            action=softmax(self.action),
+            successor=softmax(self.move[:, None] + self.sight[None, :, None]),
+        )
+
+
+def random_logits(
+    n_nodes: int, n_actions: int, n_observations: int, spread: float, rng: np.random.Generator
+) -> AdditiveLogits:
+    """Draw logits such that every observation moves to nodes of its own and actions are open.
+
+    Args:
+        n_nodes: Z.
+        n_actions: A.
+        n_observations: O.
+        spread: standard deviation of `sight`; large values make the nodes tell observations apart.
+        rng: source of the draws.
+    """
+    return AdditiveLogits(
+        initial=rng.normal(size=(n_observations, n_nodes)),
+        action=0.1 * rng.normal(size=(n_nodes, n_actions)),
+        move=rng.normal(size=(n_actions, n_nodes, n_nodes)),
+        sight=spread * rng.normal(size=(n_observations, n_nodes)),
+    )
+
+
+def logit_gradient(controller: Controller, gradient: Counts) -> AdditiveLogits:
+    """Chain rule: from the gradient with respect to the tables to that of the logits."""
+    rows = _softmax_gradient(controller.successor, gradient.successor)
+    return AdditiveLogits(
+        initial=_softmax_gradient(controller.initial, gradient.initial),
+        action=_softmax_gradient(controller.action, gradient.action),
+        move=rows.sum(axis=1),
+        sight=rows.sum(axis=(0, 2)),
+    )
+
+
+class Adam(NamedTuple):
+    """Moments of the gradient (Kingma and Ba, Adam, ICLR 2015), by the method's own constants.
+
+    Attributes:
+        mean: running mean of the gradient.
+        square: running mean of its square.
+        updates: how many gradients they hold.
+    """
+
+    mean: AdditiveLogits
+    square: AdditiveLogits
+    updates: int
+
+    @staticmethod
+    def begin(logits: AdditiveLogits) -> Adam:
+        """No gradient seen yet."""
+        return Adam(*(AdditiveLogits(*map(np.zeros_like, logits)) for _ in range(2)), 0)
+
+    def ascend(
+        self, logits: AdditiveLogits, gradient: AdditiveLogits, rate: float
+    ) -> tuple[AdditiveLogits, Adam]:
+        """One step of size `rate` uphill; returns the new logits and moments."""
+        n = self.updates + 1
+        mean = _blend(self.mean, gradient, 0.9)
+        square = _blend(self.square, AdditiveLogits(*(g * g for g in gradient)), 0.999)
+        moved = [
+            x + rate * (m / (1.0 - 0.9**n)) / (np.sqrt(s / (1.0 - 0.999**n)) + 1e-8)
+            for x, m, s in zip(logits, mean, square, strict=True)
+        ]
+        return AdditiveLogits(*moved), Adam(mean, square, n)
+
+
+def softmax(logits: FloatArray) -> FloatArray:
+    """Distributions over the last axis."""
+    weight = np.exp(logits - logits.max(axis=-1, keepdims=True))
+    shares: FloatArray = weight / weight.sum(axis=-1, keepdims=True)
+    return shares
+
+
+def _softmax_gradient(rows: FloatArray, gradient: FloatArray) -> FloatArray:
+    pull = rows * gradient
+    change: FloatArray = pull - rows * pull.sum(axis=-1, keepdims=True)
+    return change
+
+
+def _blend(old: AdditiveLogits, new: AdditiveLogits, keep: float) -> AdditiveLogits:
+    return AdditiveLogits(
+        *(keep * a + (1.0 - keep) * b for a, b in zip(old, new, strict=True))
+    )
