@@ -8,6 +8,7 @@ import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from bnprl_agents.agent import load
+from bnprl_agents.controllers.actor_critic import ActorCritic, ActorCriticConfig
 from bnprl_agents.controllers.em import BatchEM, BatchEMConfig
 from bnprl_agents.controllers.learner import NegativeRewardError
 from bnprl_agents.controllers.online_em import OnlineEM, OnlineEMConfig
@@ -46,7 +47,7 @@ def online(seed=0, **settings):
     return OnlineEM(*SPACES, config, discount=0.9, seed=seed)
 
 
-@pytest.mark.parametrize("agent_class", [RandomAgent, BatchEM, OnlineEM])
+@pytest.mark.parametrize("agent_class", [RandomAgent, BatchEM, OnlineEM, ActorCritic])
 def test_a_scalar_is_a_batch_of_one_and_comes_back_as_a_scalar(agent_class):
     env, agent = Corridor(), agent_class(*SPACES, discount=0.9, seed=0)
     observation, _ = env.reset(seed=0)
@@ -292,9 +293,16 @@ def history(agent, env, observation, steps):
     return observation, trace
 
 
-@pytest.mark.parametrize("agent_class", [RandomAgent, BatchEM, OnlineEM])
-def test_a_loaded_agent_goes_on_bit_for_bit(agent_class, tmp_path):
-    config = None if agent_class is RandomAgent else agent_class.Config(nodes=3, batch_episodes=7)
+@pytest.mark.parametrize(
+    ("agent_class", "config"),
+    [
+        (RandomAgent, None),
+        (BatchEM, BatchEMConfig(nodes=3, batch_episodes=7)),
+        (OnlineEM, OnlineEMConfig(nodes=3, batch_episodes=7)),
+        (ActorCritic, ActorCriticConfig(nodes=3, batch_steps=20)),
+    ],
+)
+def test_a_loaded_agent_goes_on_bit_for_bit(agent_class, config, tmp_path):
     agent, env = agent_class(*SPACES, config, discount=0.9, seed=0), corridors(3)
     observation, _ = env.reset(seed=0)
     agent.reset(observation)
