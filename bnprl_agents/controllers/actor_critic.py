@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bnprl_agents.agent import Metrics
-from bnprl_agents.controllers.additive import Adam, AdditiveLogits, logit_gradient, random_logits
+from bnprl_agents.controllers.additive import Adam, AdditiveLogits, factorised, random_logits
 from bnprl_agents.controllers.controller import Controller
 from bnprl_agents.controllers.critic import Critic, advantages, history_cells
 from bnprl_agents.controllers.gradient import Surrogate, filter_beliefs, surrogate_gradient
@@ -21,15 +21,15 @@ from bnprl_agents.policy_files import Arrays
 class ActorCriticConfig:
     """Settings of `ActorCritic`, the same for every environment."""
 
-    nodes: int = 20
+    nodes: int = 40
     """Nodes of every controller."""
     batch_steps: int = 1024
     """Environment steps of one batch, about: whole episodes are collected, then discarded."""
     minibatch_steps: int = 512
     """Steps of one gradient, about: whole episodes too."""
-    epochs: int = 5
+    epochs: int = 8
     """Passes over a batch."""
-    learning_rate: float = 0.03
+    learning_rate: float = 0.015
     """First step size of Adam on the logits."""
     clip: float = 0.4
     """A step stops counting once its action's probability has changed by this share."""
@@ -37,8 +37,10 @@ class ActorCriticConfig:
     """The passes over a batch end once a minibatch has diverged from the old policy by this."""
     entropy: float = 0.02
     """First weight of the policy's entropy, in standard deviations of the advantage."""
-    annealing_steps: float = 100_000.0
+    annealing_steps: float = 1_000_000.0
     """Steps after which step size and entropy weight begin to fall, as 1 over the square root."""
+    decay: float = 0.05
+    """Share of a logit that a step of size 1 takes away: a Gaussian prior around even rows."""
     advantage_decay: float = 0.8
     """lambda of the advantages that the policy climbs; 1 trusts returns, 0 the critic."""
     return_decay: float = 0.95
@@ -66,7 +68,7 @@ class ActorCriticConfig:
                 raise ValueError(f"{name}: {getattr(self, name)}, must be positive and finite")
         if not 0.0 <= self.entropy < np.inf:
             raise ValueError(f"entropy: {self.entropy}, must be finite and not negative")
-        for name in ("advantage_decay", "return_decay", "critic_memory"):
+        for name in ("decay", "advantage_decay", "return_decay", "critic_memory"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise ValueError(f"{name}: {getattr(self, name)}, must lie in [0, 1]")
 
@@ -186,7 +188,7 @@ class ActorCritic(ControllerAgent):
     ) -> tuple[FloatArray, FloatArray, FloatArray, Critic]:
         """Centred advantages, log p, weights (S,) of the steps, and the critic fitted to them."""
         config, controller = self.config, self.controllers[agent]
-        beliefs = filter_beliefs(episodes, agent, controller)
+        beliefs = filter_beliefs(episodes, agent, factorised(self.actors[agent].logits))
         cells = history_cells(episodes, agent, controller.n_actions, controller.n_observations)
         ratio = beliefs.likelihood / episodes.behaviour[:, agent]
         old = critic = self.actors[agent].critic
@@ -213,7 +215,7 @@ class ActorCritic(ControllerAgent):
         self, episodes: EpisodeBatch, agent: int, actor: Actor, surrogate: Surrogate
     ) -> tuple[Actor, Metrics]:
         """Adam on minibatches of whole episodes until the passes or the trust region end."""
-        controller, logits, moments = self.controllers[agent], actor.logits, actor.moments
+        logits, moments = actor.logits, actor.moments
         pieces = max(1, round(episodes.n_steps / self.config.minibatch_steps))
         rate = self.config.learning_rate * self.annealing()
         order = np.arange(episodes.n_episodes)
@@ -221,14 +223,14 @@ class ActorCritic(ControllerAgent):
         for _ in range(self.config.epochs):
             self.rng.shuffle(order)
             for chosen in np.array_split(order, min(pieces, order.size)):
-                ascent = surrogate_gradient(episodes, agent, controller, surrogate, chosen)
+                ascent = surrogate_gradient(
+                    episodes, agent, factorised(logits), surrogate, chosen
+                )
                 report = {"divergence": ascent.divergence, "entropy": ascent.entropy}
                 if ascent.divergence > self.config.divergence_limit:
                     return actor._replace(logits=logits, moments=moments), report
-                slope = logit_gradient(controller, ascent.gradient)
-                slope = AdditiveLogits(*(g / ascent.steps for g in slope))
-                logits, moments = moments.ascend(logits, slope, rate)
-                controller = logits.controller()
+                slope = AdditiveLogits(*(g / ascent.steps for g in ascent.gradient))
+                logits, moments = moments.ascend(logits, slope, rate, self.config.decay)
         return actor._replace(logits=logits, moments=moments), report
 
     def state_arrays(self) -> Arrays:

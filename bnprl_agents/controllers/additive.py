@@ -11,7 +11,6 @@ from typing import NamedTuple
 import numpy as np
 
 from bnprl_agents.controllers.controller import Controller
-from bnprl_agents.controllers.messages import Counts
 from bnprl_agents.episodes import FloatArray
 
 
@@ -59,19 +58,38 @@ def random_logits(
     )
 
 
-def logit_gradient(controller: Controller, gradient: Counts) -> AdditiveLogits:
-    """Chain rule: from the gradient with respect to the tables to that of the logits."""
-    rows = _softmax_gradient(controller.successor, gradient.successor)
-    return AdditiveLogits(
-        initial=_softmax_gradient(controller.initial, gradient.initial),
-        action=_softmax_gradient(controller.action, gradient.action),
-        move=rows.sum(axis=1),
-        sight=rows.sum(axis=(0, 2)),
+class Factors(NamedTuple):
+    """A controller in the form that the compiled filter reads.
+
+    Attributes:
+        initial: (O, Z) and action: (A, Z), the controller's own tables, action transposed.
+        move: (A, Z, Z) and sight: (O, Z), such that
+        norm: (A, O, Z): successor[a, o, i, j] = move[a, i, j] sight[o, j] / norm[a, o, i].
+    """
+
+    initial: FloatArray
+    action: FloatArray
+    move: FloatArray
+    sight: FloatArray
+    norm: FloatArray
+
+
+def factorised(logits: AdditiveLogits) -> Factors:
+    """Exponentiate the logits, A Z^2 + O Z of them, instead of the A O Z^2 of `successor`."""
+    move = np.exp(logits.move - logits.move.max(axis=-1, keepdims=True))
+    sight = np.exp(logits.sight - logits.sight.max(axis=-1, keepdims=True))
+    norm = np.ascontiguousarray(np.swapaxes(move @ sight.T, 1, 2))
+    return Factors(
+        softmax(logits.initial),
+        np.ascontiguousarray(softmax(logits.action).T),
+        move,
+        sight,
+        np.maximum(norm, np.finfo(np.float64).tiny),
     )
 
 
 class Adam(NamedTuple):
-    """Moments of the gradient (Kingma and Ba, Adam, ICLR 2015), by the method's own constants.
+    """Moments of the gradient (Kingma and Ba, Adam, ICLR 2015), with its usual constants.
 
     Attributes:
         mean: running mean of the gradient.
@@ -89,14 +107,19 @@ class Adam(NamedTuple):
         return Adam(*(AdditiveLogits(*map(np.zeros_like, logits)) for _ in range(2)), 0)
 
     def ascend(
-        self, logits: AdditiveLogits, gradient: AdditiveLogits, rate: float
+        self, logits: AdditiveLogits, gradient: AdditiveLogits, rate: float, decay: float
     ) -> tuple[AdditiveLogits, Adam]:
-        """One step of size `rate` uphill; returns the new logits and moments."""
+        """One step of size `rate` uphill; returns the new logits and moments.
+
+        The logits also shrink by the share `rate` times `decay` (Loshchilov and Hutter, Decoupled
+        weight decay regularization, ICLR 2019), which bounds them by about 1 / decay.
+        """
         n = self.updates + 1
         mean = _blend(self.mean, gradient, 0.9)
         square = _blend(self.square, AdditiveLogits(*(g * g for g in gradient)), 0.999)
         moved = [
-            x + rate * (m / (1.0 - 0.9**n)) / (np.sqrt(s / (1.0 - 0.999**n)) + 1e-8)
+            (1.0 - rate * decay) * x
+            + rate * (m / (1.0 - 0.9**n)) / (np.sqrt(s / (1.0 - 0.999**n)) + 1e-8)
             for x, m, s in zip(logits, mean, square, strict=True)
         ]
         return AdditiveLogits(*moved), Adam(mean, square, n)
@@ -109,7 +132,8 @@ def softmax(logits: FloatArray) -> FloatArray:
     return shares
 
 
-def _softmax_gradient(rows: FloatArray, gradient: FloatArray) -> FloatArray:
+def softmax_gradient(rows: FloatArray, gradient: FloatArray) -> FloatArray:
+    """Chain rule from the gradient of distributions to that of their logits."""
     pull = rows * gradient
     change: FloatArray = pull - rows * pull.sum(axis=-1, keepdims=True)
     return change

@@ -1,8 +1,12 @@
-"""Exact gradients through the node filter: how action probabilities depend on a controller.
+"""Exact gradients of action probabilities with respect to a controller's additive logits.
 
 With b_t(i) = p(z_t = i | h_t) before the action, p(a | h_t) = sum_i b_t(i) pi(i, a), and
-alpha_t(i) = b_t(i) pi(i, a_t) / p(a_t | h_t), the filter is b_{t+1}(j) = sum_i alpha_t(i)
-W[a_t, o_{t+1}, i, j]. The kernel runs it forward and its adjoint backward, O(Z^2) a step.
+alpha_t(i) = b_t(i) pi(i, a_t) / p(a_t | h_t), the filter is
+
+    b_{t+1}(j) = sum_i alpha_t(i) W[a_t, o_{t+1}, i, j],   W = move[a, i, j] sight[o, j] / norm.
+
+The kernel runs it forward and its adjoint backward, O(Z^2) a step. It never forms the table W, so
+that it stays in the processor's cache and its cost does not grow with A or O.
 """
 
 from __future__ import annotations
@@ -12,8 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from bnprl_agents.controllers.controller import Controller
-from bnprl_agents.controllers.messages import Counts
+from bnprl_agents.controllers.additive import AdditiveLogits, Factors, softmax_gradient
 from bnprl_agents.episodes import EpisodeBatch, FloatArray, IntArray
 
 
@@ -53,32 +56,30 @@ class Surrogate(NamedTuple):
 
 
 class Ascent(NamedTuple):
-    """The gradient of a `Surrogate` on some episodes, as if all table entries were free.
+    """The gradient of a `Surrogate` on some episodes.
 
     Attributes:
-        gradient: dJ/d initial, dJ/d action, dJ/d successor.
+        gradient: dJ/d logits.
         divergence: mean of r - 1 - log r, an estimate of the divergence from the old policy.
         entropy: mean entropy of the action distributions.
         steps: of these episodes.
     """
 
-    gradient: Counts
+    gradient: AdditiveLogits
     divergence: float
     entropy: float
     steps: int
 
 
-def filter_beliefs(episodes: EpisodeBatch, agent: int, controller: Controller) -> Beliefs:
-    """Filter every episode of one agent; rows of the controller sum to 1."""
+def filter_beliefs(episodes: EpisodeBatch, agent: int, factors: Factors) -> Beliefs:
+    """Filter every episode of one agent."""
     return Beliefs(
         *_filter(
             episodes.offsets,
             np.ascontiguousarray(episodes.observations[:, agent]),
             np.ascontiguousarray(episodes.actions[:, agent]),
             np.ascontiguousarray(episodes.final_observations[:, agent]),
-            controller.initial,
-            np.ascontiguousarray(controller.action.T),
-            controller.successor,
+            factors,
         )
     )
 
@@ -86,136 +87,122 @@ def filter_beliefs(episodes: EpisodeBatch, agent: int, controller: Controller) -
 def surrogate_gradient(
     episodes: EpisodeBatch,
     agent: int,
-    controller: Controller,
+    factors: Factors,
     surrogate: Surrogate,
     chosen: IntArray,
 ) -> Ascent:
-    """Gradient of the surrogate over the chosen episodes with respect to one agent's tables.
+    """Gradient of the surrogate over the chosen episodes with respect to one agent's logits.
 
     Args:
         episodes: K episodes.
         agent: whose actions and observations.
-        controller: its controller; rows sum to 1, no probability of an action taken is 0.
+        factors: its controller; no probability of an action taken is 0.
         surrogate: the objective, its arrays aligned with all S steps.
         chosen: indices of the episodes to sum over.
     """
-    initial, action = np.zeros_like(controller.initial), np.zeros(controller.action.T.shape)
-    successor = np.zeros_like(controller.successor)
+    slope = AdditiveLogits(
+        initial=np.zeros_like(factors.initial),
+        action=np.zeros_like(factors.action),
+        move=np.zeros_like(factors.move),
+        sight=np.zeros_like(factors.sight),
+    )
     divergence, entropy, steps = _ascent(
         chosen,
         episodes.offsets,
         np.ascontiguousarray(episodes.observations[:, agent]),
         np.ascontiguousarray(episodes.actions[:, agent]),
-        controller.initial,
-        np.ascontiguousarray(controller.action.T),
-        controller.successor,
+        factors,
         surrogate,
-        initial,
-        action,
-        successor,
+        slope,
     )
-    gradient = Counts(initial, np.ascontiguousarray(action.T), successor)
+    gradient = slope._replace(
+        initial=softmax_gradient(factors.initial, slope.initial),
+        action=softmax_gradient(factors.action.T, slope.action.T),
+    )
     return Ascent(gradient, divergence / steps, entropy / steps, steps)
 
 
 @njit(cache=True, fastmath={"reassoc", "contract"}, error_model="numpy")
-def _advance(belief, chosen, move, alpha, ahead):  # type: ignore[no-untyped-def]
-    """Set alpha_t and b_{t+1} from b_t; return p(a_t | h_t)."""
+def _condition(belief, chosen, alpha):  # type: ignore[no-untyped-def]
+    """Set alpha_t from b_t and pi(., a_t); return p(a_t | h_t)."""
     total = 0.0
     for i in range(belief.size):
         alpha[i] = belief[i] * chosen[i]
         total += alpha[i]
-    ahead[:] = 0.0
     for i in range(belief.size):
         alpha[i] /= total
-        for j in range(belief.size):
-            ahead[j] += alpha[i] * move[i, j]
     return total
 
 
+@njit(cache=True, fastmath={"reassoc", "contract"}, error_model="numpy")
+def _advance(alpha, move, sight, norm, ahead):  # type: ignore[no-untyped-def]
+    """Set b_{t+1} from alpha_t."""
+    ahead[:] = 0.0
+    for i in range(alpha.size):
+        weight = alpha[i] / norm[i]
+        for j in range(alpha.size):
+            ahead[j] += weight * move[i, j]
+    for j in range(alpha.size):
+        ahead[j] *= sight[j]
+
+
 @njit(cache=True, error_model="numpy")
-def _filter(offsets, observations, actions, final_seen, initial, action, successor):  # type: ignore[no-untyped-def]
-    n_nodes, n_episodes = action.shape[1], offsets.size - 1
+def _filter(offsets, observations, actions, final_seen, factors):  # type: ignore[no-untyped-def]
+    n_nodes, n_episodes = factors.action.shape[1], offsets.size - 1
     belief, likelihood = np.empty((actions.size, n_nodes)), np.empty(actions.size)
     final, alpha = np.empty((n_episodes, n_nodes)), np.empty(n_nodes)
     for k in range(n_episodes):
         last = offsets[k + 1] - 1
-        belief[offsets[k]] = initial[observations[offsets[k]]]
+        belief[offsets[k]] = factors.initial[observations[offsets[k]]]
         for t in range(offsets[k], last + 1):
-            seen, ahead = final_seen[k], final[k]
+            a, seen, ahead = actions[t], final_seen[k], final[k]
             if t < last:
                 seen, ahead = observations[t + 1], belief[t + 1]
-            a = actions[t]
-            likelihood[t] = _advance(belief[t], action[a], successor[a, seen], alpha, ahead)
+            likelihood[t] = _condition(belief[t], factors.action[a], alpha)
+            _advance(alpha, factors.move[a], factors.sight[seen], factors.norm[a, seen], ahead)
     return belief, likelihood, final
 
 
 @njit(cache=True, fastmath={"reassoc", "contract"}, error_model="numpy")
-def _ascent(  # type: ignore[no-untyped-def]
-    chosen,
-    offsets,
-    observations,
-    actions,
-    initial,
-    action,
-    successor,
-    surrogate,
-    d_initial,
-    d_action,
-    d_successor,
-):
-    n_actions, n_nodes = action.shape
-    longest = 0
-    for k in chosen:
-        longest = max(longest, offsets[k + 1] - offsets[k])
-    belief, alpha = np.empty((longest + 1, n_nodes)), np.empty((longest, n_nodes))
-    likelihood, p = np.empty(longest), np.empty(n_actions)
-    back, ahead = np.empty(n_nodes), np.empty(n_nodes)  # dJ/d alpha_t, dJ/d b_{t+1}
-    divergence, entropy, steps = 0.0, 0.0, 0
-    for k in chosen:
-        begin, size = offsets[k], offsets[k + 1] - offsets[k]
-        belief[0] = initial[observations[begin]]
-        for t in range(size):
-            a = actions[begin + t]
-            seen = observations[begin + min(t + 1, size - 1)]
-            likelihood[t] = _advance(
-                belief[t], action[a], successor[a, seen], alpha[t], belief[t + 1]
-            )
-        ahead[:] = 0.0
-        for t in range(size - 1, -1, -1):
-            step, a = begin + t, actions[begin + t]
-            mean = 0.0
-            back[:] = 0.0
-            if t < size - 1:
-                move = successor[a, observations[step + 1]]
-                d_move = d_successor[a, observations[step + 1]]
-                for i in range(n_nodes):
-                    for j in range(n_nodes):
-                        back[i] += move[i, j] * ahead[j]
-                        d_move[i, j] += alpha[t, i] * ahead[j]
-                    mean += alpha[t, i] * back[i]
-            ratio = likelihood[t] / np.exp(surrogate.log_old[step])
-            divergence += ratio - 1.0 - np.log(ratio)
-            pull = _clipped_pull(ratio, surrogate.advantage[step], surrogate.clip)
-            pull *= surrogate.weight[step]  # dJ/d log p(a_t | h_t)
-            for i in range(n_nodes):
-                slope = (back[i] - mean + pull) / likelihood[t]
-                d_action[a, i] += belief[t, i] * slope
-                ahead[i] = action[a, i] * slope
-            for b in range(n_actions):
-                p[b] = 0.0
-                for i in range(n_nodes):
-                    p[b] += belief[t, i] * action[b, i]
-                log_p = np.log(max(p[b], 1e-300))
-                entropy -= p[b] * log_p
-                slope = -surrogate.weight[step] * surrogate.entropy * (log_p + 1.0)
-                for i in range(n_nodes):
-                    d_action[b, i] += belief[t, i] * slope
-                    ahead[i] += action[b, i] * slope
-        for i in range(n_nodes):
-            d_initial[observations[begin], i] += ahead[i]
-        steps += size
-    return divergence, entropy, steps
+def _retreat(alpha, move, sight, norm, ahead, back, d_move, d_sight):  # type: ignore[no-untyped-def]
+    """Adjoint of `_advance`: set back = dJ/d alpha_t from ahead = dJ/d b_{t+1}.
+
+    Adds dJ/d move and dJ/d sight (of the logits); returns the mean of back under alpha_t.
+    """
+    n_nodes, mean = alpha.size, 0.0
+    seen, pull = np.empty(n_nodes), np.empty(n_nodes)
+    for j in range(n_nodes):
+        seen[j] = sight[j] * ahead[j]
+    for i in range(n_nodes):
+        total = 0.0
+        for j in range(n_nodes):
+            total += move[i, j] * seen[j]
+        back[i] = total / norm[i]
+        mean += alpha[i] * back[i]
+        weight = alpha[i] / norm[i]
+        for j in range(n_nodes):
+            pull[j] = weight * move[i, j] * (seen[j] - back[i] * sight[j])
+            d_move[i, j] += pull[j]
+        for j in range(n_nodes):
+            d_sight[j] += pull[j]
+    return mean
+
+
+@njit(cache=True, fastmath={"reassoc", "contract"}, error_model="numpy")
+def _choose(belief, action, push, d_action, back):  # type: ignore[no-untyped-def]
+    """Entropy of p(. | h_t); adds `push` times its gradient to those of pi and of b_t."""
+    entropy = 0.0
+    for a in range(action.shape[0]):
+        p = 0.0
+        for i in range(belief.size):
+            p += belief[i] * action[a, i]
+        log_p = np.log(max(p, 1e-300))
+        entropy -= p * log_p
+        slope = -push * (log_p + 1.0)
+        for i in range(belief.size):
+            d_action[a, i] += belief[i] * slope
+            back[i] += action[a, i] * slope
+    return entropy
 
 
 @njit(cache=True)
@@ -223,3 +210,54 @@ def _clipped_pull(ratio, advantage, clip):  # type: ignore[no-untyped-def]
     """Derivative of the clipped surrogate with respect to log p: 0 once the ratio has gone far."""
     far = ratio > 1.0 + clip if advantage > 0.0 else ratio < 1.0 - clip
     return 0.0 if far else ratio * advantage
+
+
+@njit(cache=True, fastmath={"reassoc", "contract"}, error_model="numpy")
+def _ascent(chosen, offsets, observations, actions, factors, surrogate, slope):  # type: ignore[no-untyped-def]
+    n_nodes = factors.action.shape[1]
+    longest = (offsets[1:] - offsets[:-1])[chosen].max()
+    belief, alpha = np.empty((longest + 1, n_nodes)), np.empty((longest, n_nodes))
+    likelihood = np.empty(longest)
+    back, ahead = np.empty(n_nodes), np.empty(n_nodes)  # dJ/d alpha_t, dJ/d b_{t+1}
+    divergence, entropy, steps = 0.0, 0.0, 0
+    for k in chosen:
+        begin, size = offsets[k], offsets[k + 1] - offsets[k]
+        belief[0] = factors.initial[observations[begin]]
+        for t in range(size):
+            a = actions[begin + t]
+            likelihood[t] = _condition(belief[t], factors.action[a], alpha[t])
+            if t < size - 1:
+                o = observations[begin + t + 1]
+                _advance(
+                    alpha[t], factors.move[a], factors.sight[o], factors.norm[a, o], belief[t + 1]
+                )
+        for t in range(size - 1, -1, -1):
+            step, a, mean = begin + t, actions[begin + t], 0.0
+            back[:] = 0.0
+            if t < size - 1:
+                o = observations[step + 1]
+                mean = _retreat(
+                    alpha[t],
+                    factors.move[a],
+                    factors.sight[o],
+                    factors.norm[a, o],
+                    ahead,
+                    back,
+                    slope.move[a],
+                    slope.sight[o],
+                )
+            ratio = likelihood[t] / np.exp(surrogate.log_old[step])
+            divergence += ratio - 1.0 - np.log(ratio)
+            pull = surrogate.weight[step] * _clipped_pull(
+                ratio, surrogate.advantage[step], surrogate.clip
+            )
+            for i in range(n_nodes):
+                change = (back[i] - mean + pull) / likelihood[t]
+                slope.action[a, i] += belief[t, i] * change
+                ahead[i] = factors.action[a, i] * change
+            push = surrogate.weight[step] * surrogate.entropy
+            entropy += _choose(belief[t], factors.action, push, slope.action, ahead)
+        for i in range(n_nodes):
+            slope.initial[observations[begin], i] += ahead[i]
+        steps += size
+    return divergence, entropy, steps

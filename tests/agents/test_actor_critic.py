@@ -9,7 +9,7 @@ from bnprl_agents.controllers.actor_critic import ActorCritic, ActorCriticConfig
 from bnprl_agents.controllers.additive import (
     Adam,
     AdditiveLogits,
-    logit_gradient,
+    factorised,
     random_logits,
 )
 from bnprl_agents.controllers.critic import Critic, advantages, history_cells
@@ -35,7 +35,7 @@ def case(seed):
     logits = random_logits(3, 2, 4, 1.0, rng)
     logits = logits._replace(action=10.0 * logits.action)
     episodes = random_episodes(rng, (4, 1, 6), *SIZES)
-    likelihood = filter_beliefs(episodes, 0, logits.controller()).likelihood
+    likelihood = filter_beliefs(episodes, 0, factorised(logits)).likelihood
     surrogate = Surrogate(
         advantage=rng.normal(size=11),
         log_old=np.log(likelihood) + rng.normal(scale=0.3, size=11),
@@ -49,7 +49,7 @@ def case(seed):
 def objective(logits, episodes, surrogate, chosen):
     """The surrogate as its docstring defines it."""
     controller = logits.controller()
-    beliefs = filter_beliefs(episodes, 0, controller)
+    beliefs = filter_beliefs(episodes, 0, factorised(logits))
     p = beliefs.belief @ controller.action
     ratio = beliefs.likelihood / np.exp(surrogate.log_old)
     clipped = np.clip(ratio, 1 - surrogate.clip, 1 + surrogate.clip)
@@ -63,9 +63,7 @@ def objective(logits, episodes, surrogate, chosen):
 def test_gradient_equals_finite_differences(seed):
     logits, episodes, surrogate = case(seed)
     chosen = np.array([2, 0]) if seed else np.arange(3)
-    controller = logits.controller()
-    ascent = surrogate_gradient(episodes, 0, controller, surrogate, chosen)
-    gradient = logit_gradient(controller, ascent.gradient)
+    gradient = surrogate_gradient(episodes, 0, factorised(logits), surrogate, chosen).gradient
     for field in AdditiveLogits._fields:
         numeric = np.zeros_like(getattr(logits, field))
         for index in np.ndindex(numeric.shape):
@@ -84,7 +82,7 @@ def test_gradient_equals_finite_differences(seed):
 def test_some_steps_of_the_case_are_clipped():
     for seed in range(3):
         logits, episodes, surrogate = case(seed)
-        likelihood = filter_beliefs(episodes, 0, logits.controller()).likelihood
+        likelihood = filter_beliefs(episodes, 0, factorised(logits)).likelihood
         ratio = likelihood / np.exp(surrogate.log_old)
         far = np.where(surrogate.advantage > 0, ratio > 1.2, ratio < 0.8)
         assert 0 < far.sum() < far.size
@@ -93,7 +91,7 @@ def test_some_steps_of_the_case_are_clipped():
 def test_the_filter_agrees_with_the_e_step():
     logits, episodes, _ = case(0)
     controller = logits.controller()
-    beliefs = filter_beliefs(episodes, 0, controller)
+    beliefs = filter_beliefs(episodes, 0, factorised(logits))
     messages = forward(episodes, 0, controller)
     np.testing.assert_allclose(beliefs.likelihood, messages.likelihood)
     chosen = controller.action[:, episodes.actions[:, 0]].T
@@ -108,8 +106,8 @@ def test_report_of_the_ascent():
     controller = logits.controller()
     chosen = np.array([0, 2])
     rows = np.r_[0:4, 5:11]
-    ascent = surrogate_gradient(episodes, 0, controller, surrogate, chosen)
-    beliefs = filter_beliefs(episodes, 0, controller)
+    ascent = surrogate_gradient(episodes, 0, factorised(logits), surrogate, chosen)
+    beliefs = filter_beliefs(episodes, 0, factorised(logits))
     p = (beliefs.belief @ controller.action)[rows]
     ratio = beliefs.likelihood[rows] / np.exp(surrogate.log_old[rows])
     assert ascent.steps == 10
@@ -120,10 +118,27 @@ def test_report_of_the_ascent():
 def test_adam_moves_by_its_rate_at_first():
     logits = random_logits(2, 2, 3, 1.0, np.random.default_rng(0))
     gradient = AdditiveLogits(*(np.full_like(table, -3.0) for table in logits))
-    moved, moments = Adam.begin(logits).ascend(logits, gradient, 0.1)
+    moved, moments = Adam.begin(logits).ascend(logits, gradient, 0.1, 0.0)
     assert moments.updates == 1
     for before, after in zip(logits, moved, strict=True):
         np.testing.assert_allclose(after, before - 0.1)
+
+
+def test_decay_pulls_logits_to_even_rows():
+    logits = random_logits(2, 2, 3, 1.0, np.random.default_rng(0))
+    nothing = AdditiveLogits(*map(np.zeros_like, logits))
+    moved, _ = Adam.begin(logits).ascend(logits, nothing, 0.1, 0.5)
+    for before, after in zip(logits, moved, strict=True):
+        np.testing.assert_allclose(after, 0.95 * before)
+
+
+def test_factors_are_the_controller():
+    logits = random_logits(3, 2, 4, 1.0, np.random.default_rng(0))
+    controller, factors = logits.controller(), factorised(logits)
+    product = factors.move[:, None] * factors.sight[:, None] / factors.norm[..., None]
+    np.testing.assert_allclose(product, controller.successor)
+    np.testing.assert_allclose(factors.action.T, controller.action)
+    np.testing.assert_allclose(factors.initial, controller.initial)
 
 
 def test_cells_tell_last_action_and_observation():
