@@ -223,9 +223,7 @@ class ActorCritic(ControllerAgent):
         for _ in range(self.config.epochs):
             self.rng.shuffle(order)
             for chosen in np.array_split(order, min(pieces, order.size)):
-                ascent = surrogate_gradient(
-                    episodes, agent, factorised(logits), surrogate, chosen
-                )
+                ascent = surrogate_gradient(episodes, agent, factorised(logits), surrogate, chosen)
                 report = {"divergence": ascent.divergence, "entropy": ascent.entropy}
                 if ascent.divergence > self.config.divergence_limit:
                     return actor._replace(logits=logits, moments=moments), report
@@ -235,7 +233,10 @@ class ActorCritic(ControllerAgent):
 
     def state_arrays(self) -> Arrays:
         """The learner's state, its logits, moments and critics."""
-        arrays = super().state_arrays()
+        return super().state_arrays() | self._learned_arrays()
+
+    def _learned_arrays(self) -> Arrays:
+        arrays: Arrays = {}
         for n, actor in enumerate(self.actors):
             for part, tables in (
                 ("logits", actor.logits),
@@ -258,6 +259,9 @@ class ActorCritic(ControllerAgent):
     def restore(self, arrays: Arrays, counters: dict[str, Any]) -> None:
         """Take over a saved state; see `Agent.restore`."""
         super().restore(arrays, counters)
+        for name, table in self._learned_arrays().items():
+            if arrays[name].shape != table.shape:
+                raise ValueError(f"{name}: shape {arrays[name].shape}, must be {table.shape}")
 
         def logits(part: str, n: int) -> AdditiveLogits:
             return AdditiveLogits(*(arrays[f"{part}_{f}_{n}"] for f in AdditiveLogits._fields))

@@ -140,6 +140,4 @@ def softmax_gradient(rows: FloatArray, gradient: FloatArray) -> FloatArray:
 
 
 def _blend(old: AdditiveLogits, new: AdditiveLogits, keep: float) -> AdditiveLogits:
-    return AdditiveLogits(
-        *(keep * a + (1.0 - keep) * b for a, b in zip(old, new, strict=True))
-    )
+    return AdditiveLogits(*(keep * a + (1.0 - keep) * b for a, b in zip(old, new, strict=True)))

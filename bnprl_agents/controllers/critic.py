@@ -23,9 +23,7 @@ class Cells(NamedTuple):
     final: IntArray
 
 
-def history_cells(
-    episodes: EpisodeBatch, agent: int, n_actions: int, n_observations: int
-) -> Cells:
+def history_cells(episodes: EpisodeBatch, agent: int, n_actions: int, n_observations: int) -> Cells:
     """(last action, observation) as one index in [0, (A + 1) O); no action yet counts as A."""
     actions = episodes.actions[:, agent]
     last = np.roll(actions, 1)

@@ -233,6 +233,14 @@ def test_a_loaded_learner_goes_on_bit_for_bit(tmp_path):
         np.testing.assert_array_equal(table, getattr(twin.controllers[0], name))
 
 
+def test_a_damaged_file_is_refused():
+    agent = ActorCritic(*SPACES, ActorCriticConfig(nodes=3), discount=0.9, seed=0)
+    arrays = agent.state_arrays()
+    arrays["critic_weights_0"] = arrays["critic_weights_0"][:-1]
+    with pytest.raises(ValueError, match=r"critic_weights_0: shape \(11, 3\), must be \(12, 3\)"):
+        agent.restore(arrays, agent.counters())
+
+
 def test_a_team_learns_a_controller_each():
     team = {"a": gym.spaces.Discrete(4), "b": gym.spaces.Discrete(3)}
     actions = {"a": gym.spaces.Discrete(2), "b": gym.spaces.Discrete(3)}
