@@ -21,15 +21,15 @@ from bnprl_agents.policy_files import Arrays
 class ActorCriticConfig:
     """Settings of `ActorCritic`, the same for every environment."""
 
-    nodes: int = 40
+    nodes: int = 32
     """Nodes of every controller."""
     batch_steps: int = 1024
     """Environment steps of one batch, about: whole episodes are collected, then discarded."""
     minibatch_steps: int = 512
     """Steps of one gradient, about: whole episodes too."""
-    epochs: int = 8
+    epochs: int = 5
     """Passes over a batch."""
-    learning_rate: float = 0.015
+    learning_rate: float = 0.02
     """First step size of Adam on the logits."""
     clip: float = 0.4
     """A step stops counting once its action's probability has changed by this share."""
@@ -39,7 +39,7 @@ class ActorCriticConfig:
     """First weight of the policy's entropy, in standard deviations of the advantage."""
     annealing_steps: float = 1_000_000.0
     """Steps after which step size and entropy weight begin to fall, as 1 over the square root."""
-    decay: float = 0.05
+    decay: float = 0.01
     """Share of a logit that a step of size 1 takes away: a Gaussian prior around even rows."""
     advantage_decay: float = 0.8
     """lambda of the advantages that the policy climbs; 1 trusts returns, 0 the critic."""
