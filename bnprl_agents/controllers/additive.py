@@ -104,7 +104,8 @@ class Adam(NamedTuple):
     @staticmethod
     def begin(logits: AdditiveLogits) -> Adam:
         """No gradient seen yet."""
-        return Adam(*(AdditiveLogits(*map(np.zeros_like, logits)) for _ in range(2)), 0)
+        nothing = AdditiveLogits(*map(np.zeros_like, logits))
+        return Adam(nothing, nothing, 0)
 
     def ascend(
         self, logits: AdditiveLogits, gradient: AdditiveLogits, rate: float, decay: float

@@ -80,7 +80,8 @@ class Critic(NamedTuple):
         _gather(belief, cells, targets, precision, moment)
         prior = ridge * np.eye(belief.shape[1])
         common = np.linalg.solve(precision.sum(axis=0) + prior, moment.sum(axis=0))
-        weights = np.linalg.solve(precision + prior, (moment + ridge * common)[..., None])[..., 0]
+        pulled = (moment + ridge * common)[..., None]
+        weights = np.linalg.solve(precision + prior, pulled)[..., 0].astype(np.float64)
         return Critic(weights, precision, moment)
 
 
@@ -107,7 +108,10 @@ def advantages(
     before, final = values
     after = np.where(episodes.terminated, 0.0, final)
     trace = discount * decay * np.minimum(ratio, 1.0)
-    return _advantages(episodes.offsets, episodes.rewards, before, after, discount, trace)
+    found: FloatArray = _advantages(
+        episodes.offsets, episodes.rewards, before, after, discount, trace
+    )
+    return found
 
 
 @njit(cache=True)
