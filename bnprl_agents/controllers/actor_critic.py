@@ -11,7 +11,12 @@ from bnprl_agents.agent import Metrics
 from bnprl_agents.controllers.additive import Adam, AdditiveLogits, factorised, random_logits
 from bnprl_agents.controllers.controller import Controller
 from bnprl_agents.controllers.critic import Critic, advantages, history_cells
-from bnprl_agents.controllers.gradient import Surrogate, filter_beliefs, surrogate_gradient
+from bnprl_agents.controllers.gradient import (
+    Beliefs,
+    Surrogate,
+    filter_beliefs,
+    surrogate_gradient,
+)
 from bnprl_agents.controllers.learner import ControllerAgent
 from bnprl_agents.episodes import EpisodeBatch, FloatArray
 from bnprl_agents.policy_files import Arrays
@@ -37,6 +42,8 @@ class ActorCriticConfig:
     """The passes over a batch end once a minibatch has diverged from the old policy by this."""
     entropy: float = 0.02
     """First weight of the policy's entropy, in standard deviations of the advantage."""
+    node_entropy: float = 0.02
+    """First weight of the entropy of the nodes' occupancy, which keeps nodes from dying out."""
     annealing_steps: float = 1_000_000.0
     """Steps after which step size and entropy weight begin to fall, as 1 over the square root."""
     decay: float = 0.01
@@ -66,8 +73,9 @@ class ActorCriticConfig:
         ):
             if not 0.0 < getattr(self, name) < np.inf:
                 raise ValueError(f"{name}: {getattr(self, name)}, must be positive and finite")
-        if not 0.0 <= self.entropy < np.inf:
-            raise ValueError(f"entropy: {self.entropy}, must be finite and not negative")
+        for name in ("entropy", "node_entropy"):
+            if not 0.0 <= getattr(self, name) < np.inf:
+                raise ValueError(f"{name}: {getattr(self, name)}, must be finite, not negative")
         for name in ("decay", "advantage_decay", "return_decay", "critic_memory"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise ValueError(f"{name}: {getattr(self, name)}, must lie in [0, 1]")
@@ -167,7 +175,8 @@ class ActorCritic(ControllerAgent):
     def _improve(self, episodes: EpisodeBatch, agent: int) -> Metrics:
         """Improve one agent's critic and controller."""
         actor = self.actors[agent]
-        advantage, log_old, weight, critic = self._judge(episodes, agent)
+        beliefs, advantage, weight, critic = self._judge(episodes, agent)
+        occupancy = np.average(beliefs.belief, axis=0, weights=weight)
         spread = float(np.sqrt(np.average(advantage**2, weights=weight)))
         scale = spread
         if actor.scale > 0.0:
@@ -175,18 +184,19 @@ class ActorCritic(ControllerAgent):
         actor = actor._replace(critic=critic, scale=scale)
         surrogate = Surrogate(
             advantage / max(scale, np.finfo(np.float64).tiny),
-            log_old,
+            np.log(beliefs.likelihood),
             weight,
             self.config.clip,
             self.config.entropy * self.annealing(),
+            -self.config.node_entropy * self.annealing() * np.log(np.maximum(occupancy, 1e-9)),
         )
         self.actors[agent], report = self._climb(episodes, agent, actor, surrogate)
         return report
 
     def _judge(
         self, episodes: EpisodeBatch, agent: int
-    ) -> tuple[FloatArray, FloatArray, FloatArray, Critic]:
-        """Centred advantages, log p, weights (S,) of the steps, and the critic fitted to them."""
+    ) -> tuple[Beliefs, FloatArray, FloatArray, Critic]:
+        """Beliefs, centred advantages (S,), weights (S,) of the steps, and the fitted critic."""
         config, controller = self.config, self.controllers[agent]
         beliefs = filter_beliefs(episodes, agent, factorised(self.actors[agent].logits))
         cells = history_cells(episodes, agent, controller.n_actions, controller.n_observations)
@@ -209,7 +219,7 @@ class ActorCritic(ControllerAgent):
         )
         weight = np.minimum(ratio, LARGEST_RATIO)
         advantage -= np.average(advantage, weights=weight)
-        return advantage, np.log(beliefs.likelihood), weight / weight.mean(), critic
+        return beliefs, advantage, weight / weight.mean(), critic
 
     def _climb(
         self, episodes: EpisodeBatch, agent: int, actor: Actor, surrogate: Surrogate

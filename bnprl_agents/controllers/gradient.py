@@ -37,8 +37,9 @@ class Beliefs(NamedTuple):
 class Surrogate(NamedTuple):
     """The clipped objective of proximal policy optimisation with an entropy bonus.
 
-    J = sum_t weight_t [min(r_t A_t, clip(r_t, 1 - clip, 1 + clip) A_t) + entropy H_t], where
-    r_t = p(a_t | h_t) / exp(log_old_t) and H_t is the entropy of p(. | h_t).
+    J = sum_t weight_t [min(r_t A_t, clip(r_t, 1 - clip, 1 + clip) A_t) + entropy H_t
+    + sum_i b_t(i) bonus_i], where r_t = p(a_t | h_t) / exp(log_old_t) and H_t is the entropy of
+    p(. | h_t).
 
     Attributes:
         advantage: (S,) A_t.
@@ -46,6 +47,7 @@ class Surrogate(NamedTuple):
         weight: (S,) of each step.
         clip: largest useful change of a probability, relative.
         entropy: weight of the entropy.
+        bonus: (Z,) what a step in each node earns.
     """
 
     advantage: FloatArray
@@ -53,6 +55,7 @@ class Surrogate(NamedTuple):
     weight: FloatArray
     clip: float
     entropy: float
+    bonus: FloatArray
 
 
 class Ascent(NamedTuple):
@@ -255,6 +258,7 @@ def _ascent(chosen, offsets, observations, actions, factors, surrogate, slope): 
                 change = (back[i] - mean + pull) / likelihood[t]
                 slope.action[a, i] += belief[t, i] * change
                 ahead[i] = factors.action[a, i] * change
+                ahead[i] += surrogate.weight[step] * surrogate.bonus[i]
             push = surrogate.weight[step] * surrogate.entropy
             entropy += _choose(belief[t], factors.action, push, slope.action, ahead)
         for i in range(n_nodes):

@@ -42,6 +42,7 @@ def case(seed):
         weight=rng.uniform(0.5, 1.5, size=11),
         clip=0.2,
         entropy=0.3,
+        bonus=rng.normal(size=3),
     )
     return logits, episodes, surrogate
 
@@ -55,6 +56,7 @@ def objective(logits, episodes, surrogate, chosen):
     clipped = np.clip(ratio, 1 - surrogate.clip, 1 + surrogate.clip)
     gain = np.minimum(ratio * surrogate.advantage, clipped * surrogate.advantage)
     gain -= surrogate.entropy * (p * np.log(p)).sum(axis=1)
+    gain += beliefs.belief @ surrogate.bonus
     rows = np.concatenate([np.arange(*episodes.offsets[k : k + 2]) for k in chosen])
     return float((surrogate.weight * gain)[rows].sum())
 
