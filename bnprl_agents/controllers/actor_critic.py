@@ -109,7 +109,8 @@ class ActorCritic(ControllerAgent):
     """Proximal policy optimisation of a finite-state controller, through its node filter.
 
     The gradient is exact (no node is sampled), its advantages come from a critic that is linear
-    in the node belief, and the controller's rows share strength by additive logits. A team learns
+    in the node belief, the controller's rows share strength by additive logits, and a bonus on the
+    entropy of the nodes' occupancy keeps all of them in use. A team learns
     independently: every agent has a controller and a critic of its own histories.
 
     Rewards of either sign and any size need no shift: advantages are standardised. A batch
