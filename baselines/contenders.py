@@ -86,12 +86,6 @@ CONTENDERS: dict[str, Contender] = {
     contender.name: contender
     for contender in (
         _agent(
-            "actor-critic",
-            "bnprl_agents.controllers.actor_critic:ActorCritic",
-            "ActorCriticConfig",
-            "finite-state controllers by policy gradient with a critic on the node belief",
-        ),
-        _agent(
             "online-em",
             "bnprl_agents.controllers.online_em:OnlineEM",
             "OnlineEMConfig",
@@ -102,6 +96,12 @@ CONTENDERS: dict[str, Contender] = {
             "bnprl_agents.controllers.em:BatchEM",
             "BatchEMConfig",
             "finite-state controllers by EM on batches of episodes",
+        ),
+        _agent(
+            "actor-critic",
+            "bnprl_agents.controllers.actor_critic:ActorCritic",
+            "ActorCriticConfig",
+            "finite-state controllers by policy gradient with a critic on the node belief",
         ),
         _agent(
             "random",
