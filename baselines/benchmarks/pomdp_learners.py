@@ -84,18 +84,26 @@ def run(
     learner = build_learner(contender(name), spec, settings, seed)
     if not isinstance(learner, AgentLearner) or not isinstance(learner.agent, ControllerAgent):
         raise ValueError(f"agent: {name!r} learns no controllers, but their values are wanted")
-    waiting, scores = list(GOALS[env] if goals is None else goals), []
-    scoring, begin = 0.0, time.process_time()
+    waiting = list(GOALS[env] if goals is None else goals)
+    scores: list[Score] = []
+    held, scoring = (0, 0.0, learner.agent.controllers), 0.0
+
+    def score(until: float) -> None:
+        """Score the last controllers at every goal that they were learned within."""
+        while waiting and waiting[0].steps < until:
+            value = controller_value(model(env), held[2], spec.discount)
+            scores.append(Score(held[0], value, held[1]))
+            waiting.pop(0)
+
+    begin = time.process_time()
     with tqdm(total=waiting[-1].steps, desc=f"{env} {seed}", disable=not shown, delay=2) as bar:
         for now in learner.learn(steps=waiting[-1].steps):
+            spent = time.process_time() - begin - scoring
+            score(until=now.steps)
+            scoring = time.process_time() - begin - spent
+            held = (now.steps, spent, learner.agent.controllers)
             bar.update(now.steps - bar.n)
-            ended = not now.metrics
-            while waiting and (ended or now.steps >= waiting[0].steps):
-                pause = time.process_time()
-                value = controller_value(model(env), learner.agent.controllers, spec.discount)
-                scores.append(Score(now.steps, value, pause - begin - scoring))
-                scoring += time.process_time() - pause
-                waiting.pop(0)
+        score(until=np.inf)
     return scores
 
 
