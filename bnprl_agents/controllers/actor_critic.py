@@ -42,7 +42,7 @@ class ActorCriticConfig:
     """The passes over a batch end once a minibatch has diverged from the old policy by this."""
     entropy: float = 0.02
     """First weight of the policy's entropy, in standard deviations of the advantage."""
-    node_entropy: float = 0.02
+    node_entropy: float = 0.05
     """First weight of the entropy of the nodes' occupancy, which keeps nodes from dying out."""
     annealing_steps: float = 1_000_000.0
     """Steps after which step size and entropy weight begin to fall, as 1 over the square root."""
