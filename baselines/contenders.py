@@ -104,6 +104,12 @@ CONTENDERS: dict[str, Contender] = {
             "finite-state controllers by policy gradient with a critic on the node belief",
         ),
         _agent(
+            "predictive-actor-critic",
+            "bnprl_agents.belief.predictive_actor_critic:PredictiveActorCritic",
+            "PredictiveActorCriticConfig",
+            "policies on the belief of a hidden Markov model, learned together",
+        ),
+        _agent(
             "random",
             "bnprl_agents.random_agent:RandomAgent",
             "RandomConfig",

@@ -231,9 +231,21 @@ def evaluate(
     rng = np.random.default_rng(seed)
     model, horizon = environment.model(), environment.horizon
     controllers = getattr(policy, "controllers", None)
+    belief = getattr(policy, "policy", None)
+    if model is not None and horizon is not None and belief is not None and not deterministic:
+        return _simulate_belief(belief, model, horizon, episodes, rng)
     if model is None or horizon is None or controllers is None or deterministic:
         return _simulate(policy, environment, episodes, rng, deterministic)
     return _simulate_compiled(controllers, model, horizon, episodes, rng)
+
+
+def _simulate_belief(
+    policy: Any, model: TabularModel, horizon: int, episodes: int, rng: np.random.Generator
+) -> Evaluation:
+    from bnprl_agents.belief.rollout import belief_rollout  # imports numba
+
+    batch = belief_rollout(model, policy, episodes=episodes, horizon=horizon, rng=rng)
+    return Evaluation(batch.returns(model.discount), np.diff(batch.offsets))
 
 
 def _simulate_compiled(

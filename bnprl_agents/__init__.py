@@ -1,6 +1,10 @@
 """Agents that learn Bayesian nonparametric policies and value functions."""
 
 from bnprl_agents.agent import Agent, load
+from bnprl_agents.belief.predictive_actor_critic import (
+    PredictiveActorCritic,
+    PredictiveActorCriticConfig,
+)
 from bnprl_agents.controllers.actor_critic import ActorCritic, ActorCriticConfig
 from bnprl_agents.controllers.controller import Controller, random_controller
 from bnprl_agents.controllers.em import BatchEM, BatchEMConfig
@@ -26,6 +30,8 @@ __all__ = [
     "OnlineEM",
     "OnlineEMConfig",
     "PolicyFileError",
+    "PredictiveActorCritic",
+    "PredictiveActorCriticConfig",
     "Progress",
     "RandomAgent",
     "RandomConfig",

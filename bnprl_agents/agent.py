@@ -32,6 +32,7 @@ AGENT_CLASSES = {
     "BatchEM": "bnprl_agents.controllers.em",
     "OnlineEM": "bnprl_agents.controllers.online_em",
     "ActorCritic": "bnprl_agents.controllers.actor_critic",
+    "PredictiveActorCritic": "bnprl_agents.belief.predictive_actor_critic",
 }
 """Class name in a policy file -> the module that defines it; nothing else is ever imported."""
 

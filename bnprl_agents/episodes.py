@@ -119,15 +119,19 @@ class EpisodeBatch:
 
     def first(self, episodes: int) -> EpisodeBatch:
         """Return the first `episodes` episodes, at most K."""
-        steps = int(self.offsets[episodes])
+        return self.between(0, episodes)
+
+    def between(self, begin: int, end: int) -> EpisodeBatch:
+        """Return the episodes from `begin` up to `end`, which is not one of them; at most K."""
+        steps = slice(self.offsets[begin], self.offsets[end])
         return EpisodeBatch(
-            offsets=self.offsets[: episodes + 1],
-            observations=self.observations[:steps],
-            actions=self.actions[:steps],
-            rewards=self.rewards[:steps],
-            behaviour=self.behaviour[:steps],
-            final_observations=self.final_observations[:episodes],
-            terminated=self.terminated[:episodes],
+            offsets=self.offsets[begin : end + 1] - self.offsets[begin],
+            observations=self.observations[steps],
+            actions=self.actions[steps],
+            rewards=self.rewards[steps],
+            behaviour=self.behaviour[steps],
+            final_observations=self.final_observations[begin:end],
+            terminated=self.terminated[begin:end],
         )
 
     @staticmethod

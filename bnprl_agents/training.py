@@ -11,8 +11,8 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from bnprl_agents.agent import Agent, Metrics
+from bnprl_agents.belief.learner import BeliefAgent
 from bnprl_agents.controllers.learner import ControllerAgent
-from bnprl_agents.controllers.rollout import rollout
 from bnprl_agents.episodes import EpisodeBatch
 from bnprl_envs.model import TabularModel
 
@@ -42,7 +42,7 @@ def train(
 ) -> Iterator[Progress]:
     """Train an agent until the budget is spent; yields after every update.
 
-    Where the environment is tabular and the agent learns controllers, whole episodes are sampled
+    Where the environment is tabular and the agent learns controllers or belief policies, whole episodes are sampled
     by the compiled rollout instead of stepping copies. The two agree in law.
 
     Args:
@@ -65,8 +65,13 @@ def train(
             f"autoreset_mode: {env.metadata.get('autoreset_mode')}, must be AutoresetMode.DISABLED"
         )
     model, horizon = getattr(env, "model", None), getattr(env, "max_episode_steps", None)
-    if isinstance(agent, ControllerAgent) and isinstance(model, TabularModel) and horizon:
-        agent.check_reward(smallest_reward(model))
+    if (
+        isinstance(agent, ControllerAgent | BeliefAgent)
+        and isinstance(model, TabularModel)
+        and horizon
+    ):
+        if isinstance(agent, ControllerAgent):
+            agent.check_reward(smallest_reward(model))
         return _train_compiled(agent, model, horizon, seed, episodes, steps)
     return _train_stepwise(agent, env, seed, episodes, steps)
 
@@ -81,7 +86,7 @@ def smallest_reward(model: TabularModel) -> float:
 
 
 def _train_compiled(
-    agent: ControllerAgent,
+    agent: ControllerAgent | BeliefAgent,
     model: TabularModel,
     horizon: int,
     seed: int,
@@ -92,13 +97,11 @@ def _train_compiled(
     done, taken = 0, 0
     while (episodes is not None and done < episodes) or (steps is not None and taken < steps):
         wanted = agent.batch_episodes
-        batch = rollout(
+        batch = agent.sample(
             model,
-            agent.controllers,
             episodes=wanted if episodes is None else min(wanted, episodes - done),
             horizon=horizon,
             rng=rng,
-            explore=agent.explore,
         )
         spent = steps is not None and taken + batch.n_steps > steps
         if steps is not None and spent:

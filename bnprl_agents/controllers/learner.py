@@ -12,10 +12,12 @@ from bnprl_agents.agent import Agent, Metrics
 from bnprl_agents.controllers.controller import Controller, normalised, random_controller
 from bnprl_agents.controllers.exploration import exploring_probability, team_exploring
 from bnprl_agents.controllers.messages import Counts, Messages
+from bnprl_agents.controllers.rollout import rollout
 from bnprl_agents.discrete import DiscreteSpaces
 from bnprl_agents.episodes import BoolArray, EpisodeBatch, FloatArray, IntArray
 from bnprl_agents.policy_files import Arrays
 from bnprl_agents.recorder import EpisodeRecorder
+from bnprl_envs.model import TabularModel
 
 
 class PolicyState(NamedTuple):
@@ -82,6 +84,19 @@ class ControllerAgent(Agent):
     @abc.abstractmethod
     def batch_episodes(self) -> int:
         """Episodes that one call of `learn` wants; the last of a budget may get fewer."""
+
+    def sample(
+        self, model: TabularModel, *, episodes: int, horizon: int, rng: np.random.Generator
+    ) -> EpisodeBatch:
+        """Sample whole episodes of a model by the compiled rollout, exploring."""
+        return rollout(
+            model,
+            self.controllers,
+            episodes=episodes,
+            horizon=horizon,
+            rng=rng,
+            explore=self.explore,
+        )
 
     def batch_share(self, episodes: EpisodeBatch) -> float:
         """The part of a whole batch that these episodes are, at most 1."""

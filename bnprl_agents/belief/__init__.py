@@ -1,0 +1,1 @@
+"""Policies on the belief of a learned hidden Markov model."""
