@@ -1,0 +1,210 @@
+"""Actor-critic on a learned belief: gradients, filter, likelihood, resuming, learning."""
+
+import itertools
+import json
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from baselines.benchmarks.belief_policies import run
+from bnprl_agents.agent import load
+from bnprl_agents.belief.critic import Critic, advantages
+from bnprl_agents.belief.filtering import Beliefs, filter_beliefs
+from bnprl_agents.belief.gradient import NO_POLICY, Surrogate, objective_gradient
+from bnprl_agents.belief.policy import Logits, random_logits, softmax
+from bnprl_agents.belief.predictive_actor_critic import (
+    PredictiveActorCritic,
+    PredictiveActorCriticConfig,
+)
+from bnprl_agents.belief.rollout import belief_rollout
+from tests.agents.cases import random_episodes, random_model
+
+STATES, ACTIONS, OBSERVATIONS = 3, 2, 3
+SPACES = gym.spaces.Discrete(OBSERVATIONS), gym.spaces.Discrete(ACTIONS)
+EVERY = np.arange(3)
+
+
+def case(seed=0):
+    rng = np.random.default_rng(seed)
+    episodes = random_episodes(rng, (4, 1, 5), (ACTIONS,), (OBSERVATIONS,))
+    ends = np.array([True, False, False])
+    episodes = type(episodes)(**(vars(episodes) | {"terminated": ends}))
+    return rng, episodes, random_logits(STATES, ACTIONS, OBSERVATIONS, rng)
+
+
+def likelihood_of(episodes, logits, k):
+    """Sum over all paths of hidden states; the policy's factors left out."""
+    policy = logits.policy()
+    begin, end = episodes.offsets[k], episodes.offsets[k + 1]
+    seen = [*episodes.observations[begin:end, 0], episodes.final_observations[k, 0]]
+    actions = episodes.actions[begin:end, 0]
+    length = len(actions) + (not episodes.terminated[k])
+    total = 0.0
+    for path in itertools.product(range(STATES), repeat=length):
+        p = policy.initial[seen[0], path[0]]
+        for t in range(length - 1):
+            i, j = path[t], path[t + 1]
+            p *= policy.transition[actions[t], i, j] * policy.emission[j, seen[t + 1]]
+        if episodes.terminated[k]:
+            p *= policy.termination[actions[-1], path[-1]]
+        total += p
+    return total
+
+
+def test_the_likelihood_is_the_sum_over_all_paths():
+    _, episodes, logits = case()
+    for k in EVERY:
+        found, _ = objective_gradient(episodes, np.array([k]), logits, NO_POLICY, 1.0)
+        steps = np.diff(episodes.offsets)[k]
+        assert found * steps == pytest.approx(np.log(likelihood_of(episodes, logits, k)), abs=1e-9)
+
+
+def objective(episodes, logits, surrogate, prediction):
+    """The objective a step, written with the acting filter."""
+    policy, total = logits.policy(), 0.0
+    beliefs = filter_beliefs(episodes, policy).before
+    p = policy.action_probabilities(beliefs)
+    taken = np.take_along_axis(p, episodes.actions, axis=1)[:, 0]
+    total += (taken / surrogate.behaviour * surrogate.advantage).sum()
+    total -= surrogate.entropy * (p * np.log(p)).sum()
+    total += prediction * sum(np.log(likelihood_of(episodes, logits, k)) for k in EVERY)
+    return total / episodes.n_steps
+
+
+@pytest.mark.parametrize("prediction", [0.0, 0.7])
+def test_the_gradient_is_that_of_finite_differences(prediction):
+    rng, episodes, logits = case(1)
+    logits = logits._replace(action=rng.normal(size=logits.action.shape))
+    surrogate = Surrogate(rng.normal(size=10), episodes.behaviour[:, 0], 1e9, 0.3)
+    _, gradient = objective_gradient(episodes, EVERY, logits, surrogate, prediction)
+    for name in Logits._fields:
+        table = getattr(logits, name)
+        for index in np.ndindex(table.shape):
+            step = np.zeros_like(table)
+            step[index] = 1e-5
+            up, down = (
+                objective(episodes, logits._replace(**{name: table + s}), surrogate, prediction)
+                for s in (step, -step)
+            )
+            assert getattr(gradient, name)[index] == pytest.approx((up - down) / 2e-5, abs=1e-7)
+
+
+def test_a_step_beyond_the_clip_does_not_count():
+    _, episodes, logits = case(2)
+    tiny = np.full(10, 1e-3)  # every ratio is far over 1 + clip
+    surrogate = Surrogate(np.ones(10), tiny, 0.2, 0.0)
+    _, gradient = objective_gradient(episodes, EVERY, logits, surrogate, 0.0)
+    assert all((table == 0.0).all() for table in gradient)
+    _, gradient = objective_gradient(
+        episodes, EVERY, logits, surrogate._replace(advantage=-np.ones(10)), 0.0
+    )
+    assert np.abs(gradient.action).max() > 0.0
+
+
+def test_compiled_and_acting_filter_agree():
+    _, episodes, logits = case(3)
+    policy, beliefs = logits.policy(), filter_beliefs(episodes, logits.policy())
+    for k in (1, 2):
+        begin, end = episodes.offsets[k], episodes.offsets[k + 1]
+        belief = policy.begin(episodes.observations[begin : begin + 1, 0])
+        for t in range(begin, end):
+            assert beliefs.before[t] == pytest.approx(belief[0], abs=1e-4)
+            after = (
+                episodes.observations[t + 1, 0]
+                if t + 1 < end
+                else episodes.final_observations[k, 0]
+            )
+            belief = policy.advance(belief, episodes.actions[t], np.array([after]))
+        assert beliefs.final[k] == pytest.approx(belief[0], abs=1e-4)
+    assert (beliefs.final[0] == 0.0).all()
+
+
+def test_the_rollout_records_the_probabilities_of_the_policy():
+    rng = np.random.default_rng(0)
+    model = random_model(rng, action_sizes=(ACTIONS,), observation_sizes=(OBSERVATIONS - 1,))
+    policy = random_logits(STATES, ACTIONS, OBSERVATIONS, rng)._replace(
+        action=rng.normal(size=(STATES, ACTIONS))
+    )
+    batch = belief_rollout(model, policy.policy(), episodes=150, horizon=20, rng=rng)
+    p = policy.policy().action_probabilities(filter_beliefs(batch, policy.policy()).before)
+    assert batch.behaviour == pytest.approx(np.take_along_axis(p, batch.actions, axis=1))
+    shares = [(batch.actions[:, 0] == a).mean() for a in range(ACTIONS)]
+    assert shares == pytest.approx(p.mean(axis=0), abs=0.06)
+    with pytest.raises(ValueError, match="policy: 2 actions and 3 observations"):
+        belief_rollout(random_model(rng), policy.policy(), episodes=1, horizon=1, rng=rng)
+
+
+def test_advantages_by_hand():
+    _, episodes, _ = case()
+    short = episodes.between(1, 2)
+    short = type(short)(**(vars(short) | {"rewards": np.array([2.0])}))
+    beliefs = Beliefs(np.array([[1.0, 0.0]]), np.array([[0.0, 1.0]]))
+    found = advantages(short, beliefs, np.array([3.0, 4.0]), 0.5, 0.9)
+    assert found == pytest.approx([2.0 + 0.5 * 4.0 - 3.0])  # truncated: goes on at 4
+
+
+def test_the_critic_is_ridge_regression_on_fading_evidence():
+    rng = np.random.default_rng(0)
+    x, y = rng.dirichlet(np.ones(3), size=50), rng.normal(size=50)
+    critic = Critic.begin(3).fitted(x, y, 0.5).fitted(x, y, 0.5)
+    wanted = np.linalg.solve(1.5 * x.T @ x + np.eye(3), 1.5 * x.T @ y)
+    assert critic.weights == pytest.approx(wanted)
+
+
+def small(seed=0, **settings):
+    config = PredictiveActorCriticConfig(
+        **({"states": 4, "batch_steps": 60, "minibatch_steps": 30} | settings)
+    )
+    return PredictiveActorCritic(*SPACES, config, discount=0.9, seed=seed)
+
+
+def test_a_saved_agent_goes_on_bit_for_bit(tmp_path):
+    model = random_model(
+        np.random.default_rng(0), action_sizes=(ACTIONS,), observation_sizes=(OBSERVATIONS - 1,)
+    )
+    batches = [
+        small().sample(model, episodes=9, horizon=7, rng=np.random.default_rng(n)) for n in range(4)
+    ]
+    agent = small()
+    agent.reset(np.array([2, 2]))
+    for batch in batches[:2]:
+        agent.learn(batch)
+    agent.save(tmp_path / "agent.npz")
+    again = load(tmp_path / "agent.npz")
+    for one in (agent, again):
+        for batch in batches[2:]:
+            one.learn(batch)
+    for name, array in agent.state_arrays().items():
+        assert (array == again.state_arrays()[name]).all(), name
+    assert json.dumps(agent.counters()) == json.dumps(again.counters())
+    seen = np.array([0, 2])
+    assert (agent.act(seen) == again.act(seen)).all()
+
+
+def test_likelihood_alone_rises_on_fixed_data():
+    model = random_model(
+        np.random.default_rng(1), action_sizes=(ACTIONS,), observation_sizes=(OBSERVATIONS - 1,)
+    )
+    agent = small(learning_rate=0.01)
+    batch = agent.sample(model, episodes=60, horizon=20, rng=np.random.default_rng(0))
+    found = [agent.learn(batch)["log_likelihood"] for _ in range(12)]
+    assert np.mean(found[-3:]) > np.mean(found[:3]) + 0.05
+
+
+def test_bad_input_is_refused():
+    for settings in ({"states": 0}, {"clip": 0.0}, {"prediction": -1.0}, {"return_decay": 1.5}):
+        with pytest.raises(ValueError, match=next(iter(settings))):
+            PredictiveActorCriticConfig(**settings)
+    team = {"a": SPACES[0]}, {"a": SPACES[1]}
+    with pytest.raises(ValueError, match="several agents"):
+        PredictiveActorCritic(*team, discount=0.9, seed=0)
+
+
+def test_softmax_survives_large_logits():
+    assert softmax(np.array([1e4, 0.0])) == pytest.approx([1.0, 0.0])
+
+
+def test_hallway_beats_the_best_memoryless_policy_within_40_000_steps():
+    (score,) = run("bnprl/Hallway-v0", seed=0, goals=(40_000,))
+    assert score.value > 0.3756 + 0.02
