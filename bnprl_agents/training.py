@@ -42,8 +42,8 @@ def train(
 ) -> Iterator[Progress]:
     """Train an agent until the budget is spent; yields after every update.
 
-    Where the environment is tabular and the agent learns controllers or belief policies, whole episodes are sampled
-    by the compiled rollout instead of stepping copies. The two agree in law.
+    Where the environment is tabular and the agent learns controllers or belief policies, whole
+    episodes are sampled by the compiled rollout instead of stepping copies. The two agree in law.
 
     Args:
         agent: learns in place.

@@ -31,9 +31,9 @@ class Critic(NamedTuple):
 
     def fitted(self, belief: FloatArray, returns: FloatArray, keep: float) -> Critic:
         """Add evidence (S, Z), (S,) to the share `keep` of the old."""
-        precision = keep * self.precision + belief.T @ belief
-        moment = keep * self.moment + belief.T @ returns
-        weights = np.linalg.solve(precision + np.eye(moment.size), moment)
+        precision: FloatArray = keep * self.precision + belief.T @ belief
+        moment: FloatArray = keep * self.moment + belief.T @ returns
+        weights: FloatArray = np.linalg.solve(precision + np.eye(moment.size), moment)
         return Critic(weights, precision, moment)
 
 
@@ -45,7 +45,7 @@ def advantages(
     A_t = delta_t + discount decay A_{t+1}, delta_t = r_t + discount V_{t+1} - V_t; a truncated
     episode goes on at the value of its last belief, nothing follows a terminal state.
     """
-    return _advantages(
+    estimates: FloatArray = _advantages(
         episodes.offsets,
         episodes.rewards,
         beliefs.before @ weights,
@@ -53,6 +53,7 @@ def advantages(
         discount,
         discount * decay,
     )
+    return estimates
 
 
 @njit(cache=True)

@@ -136,7 +136,7 @@ def _gradient(  # type: ignore[no-untyped-def]
     entropy,
     prediction,
 ):
-    n_actions, n_states = action.shape
+    n_states = action.shape[1]
     d_initial, d_transition = np.zeros(initial.shape), np.zeros(transition.shape)
     d_termination, d_emission = np.zeros(termination.shape), np.zeros(emission.shape)
     d_action = np.zeros(action.shape)
