@@ -24,7 +24,7 @@ from bnprl_agents.belief.filtering import (
     next_observations,
     predict,
 )
-from bnprl_agents.belief.policy import BeliefPolicy, Logits, softmax, through_softmax
+from bnprl_agents.belief.policy import Logits, softmax, through_softmax
 from bnprl_agents.episodes import EpisodeBatch, FloatArray, IntArray
 
 
