@@ -9,7 +9,6 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from bnprl_agents.agent import load
 from bnprl_agents.controllers.actor_critic import ActorCritic, ActorCriticConfig
-from bnprl_agents.belief.predictive_actor_critic import PredictiveActorCritic
 from bnprl_agents.controllers.em import BatchEM, BatchEMConfig
 from bnprl_agents.controllers.learner import NegativeRewardError
 from bnprl_agents.controllers.online_em import OnlineEM, OnlineEMConfig
