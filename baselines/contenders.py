@@ -98,6 +98,12 @@ CONTENDERS: dict[str, Contender] = {
             "finite-state controllers by EM on batches of episodes",
         ),
         _agent(
+            "controller-search",
+            "bnprl_agents.search.controller_search:ControllerSearch",
+            "ControllerSearchConfig",
+            "local search over deterministic controllers, scored by simulated episodes",
+        ),
+        _agent(
             "random",
             "bnprl_agents.random_agent:RandomAgent",
             "RandomConfig",

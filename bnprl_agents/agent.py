@@ -31,6 +31,7 @@ AGENT_CLASSES = {
     "RandomAgent": "bnprl_agents.random_agent",
     "BatchEM": "bnprl_agents.controllers.em",
     "OnlineEM": "bnprl_agents.controllers.online_em",
+    "ControllerSearch": "bnprl_agents.search.controller_search",
 }
 """Class name in a policy file -> the module that defines it; nothing else is ever imported."""
 
