@@ -33,13 +33,13 @@ class Problem:
     Attributes:
         id: of the environment.
         wanted: smallest passing mean over the seeds.
-        best_known: value of the literature, for comparison.
+        goal: best known value of the literature; of grid traffic, what is hoped for.
         steps: simulated for one seed, of all agents together.
     """
 
     id: str
     wanted: float
-    best_known: float
+    goal: float
     steps: int
 
 
@@ -112,7 +112,7 @@ def main(arguments: list[str] | None = None) -> int:
         if problem.id not in chosen.ids:
             continue
         scaled = Problem(
-            problem.id, problem.wanted, problem.best_known, int(problem.steps * chosen.scale)
+            problem.id, problem.wanted, problem.goal, int(problem.steps * chosen.scale)
         )
         runs = []
         for seed in range(chosen.seeds):
@@ -126,7 +126,7 @@ def main(arguments: list[str] | None = None) -> int:
         passed &= good
         print(
             f"{problem.id:25}  mean  {mean:8.3f}, best {max(values):.3f}, wanted "
-            f"{problem.wanted:.3f}, best known {problem.best_known:.3f}: "
+            f"{problem.wanted:.3f}, goal {problem.goal:.3f}: "
             f"{'pass' if good else 'FAIL'}"
         )
     return 0 if passed else 1
