@@ -110,6 +110,12 @@ CONTENDERS: dict[str, Contender] = {
             "policies on the belief of a hidden Markov model, learned together",
         ),
         _agent(
+            "controller-search",
+            "bnprl_agents.search.controller_search:ControllerSearch",
+            "ControllerSearchConfig",
+            "local search over deterministic controllers, scored by simulated episodes",
+        ),
+        _agent(
             "random",
             "bnprl_agents.random_agent:RandomAgent",
             "RandomConfig",

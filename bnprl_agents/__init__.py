@@ -16,6 +16,8 @@ from bnprl_agents.controllers.value import controller_value
 from bnprl_agents.episodes import EpisodeBatch
 from bnprl_agents.policy_files import PolicyFileError
 from bnprl_agents.random_agent import RandomAgent, RandomConfig
+from bnprl_agents.search.controller_search import ControllerSearch, ControllerSearchConfig
+from bnprl_agents.search.simulator import TeamSimulator, simulator_of
 from bnprl_agents.training import Progress, train
 
 __all__ = [
@@ -25,6 +27,8 @@ __all__ = [
     "BatchEM",
     "BatchEMConfig",
     "Controller",
+    "ControllerSearch",
+    "ControllerSearchConfig",
     "Counts",
     "EpisodeBatch",
     "OnlineEM",
@@ -35,11 +39,13 @@ __all__ = [
     "Progress",
     "RandomAgent",
     "RandomConfig",
+    "TeamSimulator",
     "controller_value",
     "load",
     "random_controller",
     "rollout",
     "simulated_returns",
+    "simulator_of",
     "soft_counts",
     "train",
 ]

@@ -33,6 +33,7 @@ AGENT_CLASSES = {
     "OnlineEM": "bnprl_agents.controllers.online_em",
     "ActorCritic": "bnprl_agents.controllers.actor_critic",
     "PredictiveActorCritic": "bnprl_agents.belief.predictive_actor_critic",
+    "ControllerSearch": "bnprl_agents.search.controller_search",
 }
 """Class name in a policy file -> the module that defines it; nothing else is ever imported."""
 

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from bnprl_agents.agent import Metrics
-from bnprl_agents.controllers.controller import Controller
+from bnprl_agents.controllers.controller import Controller, uniform_controller
 from bnprl_agents.controllers.learner import ControllerAgent
 from bnprl_agents.episodes import EpisodeBatch
 
@@ -30,14 +28,7 @@ class RandomAgent(ControllerAgent):
     def initial_controllers(self) -> tuple[Controller, ...]:
         """One node with uniform actions."""
         return tuple(
-            Controller(
-                initial=np.ones((n_observations, 1)),
-                action=np.full((1, n_actions), 1.0 / n_actions),
-                successor=np.ones((n_actions, n_observations, 1, 1)),
-            )
-            for n_actions, n_observations in zip(
-                self.spaces.action_sizes, self.spaces.observation_sizes, strict=True
-            )
+            map(uniform_controller, self.spaces.action_sizes, self.spaces.observation_sizes)
         )
 
     def learn(self, episodes: EpisodeBatch) -> Metrics:

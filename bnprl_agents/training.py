@@ -14,6 +14,8 @@ from bnprl_agents.agent import Agent, Metrics
 from bnprl_agents.belief.learner import BeliefAgent
 from bnprl_agents.controllers.learner import ControllerAgent
 from bnprl_agents.episodes import EpisodeBatch
+from bnprl_agents.search.controller_search import ControllerSearch
+from bnprl_agents.search.simulator import BudgetedSimulator, BudgetSpentError, simulator_of
 from bnprl_envs.model import TabularModel
 
 
@@ -44,10 +46,13 @@ def train(
 
     Where the environment is tabular and the agent learns controllers or belief policies, whole
     episodes are sampled by the compiled rollout instead of stepping copies. The two agree in law.
+    `ControllerSearch` gets a simulator of the environment (`simulator_of`), to which it hands its
+    own seeds; what it has under way when the budget ends is lost.
 
     Args:
         agent: learns in place.
-        env: a vector environment whose autoreset is disabled.
+        env: a vector environment whose autoreset is disabled; for `ControllerSearch` a PettingZoo
+            parallel environment will do.
         seed: of the environment.
         episodes: budget of finished episodes.
         steps: budget of environment steps over all copies, never exceeded: the last update
@@ -60,6 +65,8 @@ def train(
     budget = episodes if steps is None else steps
     if (episodes is None) == (steps is None) or budget is None or budget < 1:
         raise ValueError(f"episodes: {episodes}, steps: {steps}; give one of them, at least 1")
+    if isinstance(agent, ControllerSearch):
+        return _train_by_search(agent, env, episodes, steps)
     if env.metadata.get("autoreset_mode") is not AutoresetMode.DISABLED:
         raise ValueError(
             f"autoreset_mode: {env.metadata.get('autoreset_mode')}, must be AutoresetMode.DISABLED"
@@ -83,6 +90,20 @@ def smallest_reward(model: TabularModel) -> float:
     if reward.shape[1] > 1:
         reward = reward[model.observation_rows[action * model.n_states + end].nonzero()]
     return float(reward.min())
+
+
+def _train_by_search(
+    agent: ControllerSearch, env: Any, episodes: int | None, steps: int | None
+) -> Iterator[Progress]:
+    simulator = simulator_of(env, agent.discount)
+    limit = steps if steps is not None else (episodes or 0) * simulator.horizon
+    budgeted = BudgetedSimulator(simulator, limit)
+    try:
+        while True:
+            metrics = agent.improve(budgeted, limit - simulator.steps)
+            yield Progress(simulator.episodes, simulator.steps, metrics)
+    except BudgetSpentError:
+        yield Progress(simulator.episodes, simulator.steps)
 
 
 def _train_compiled(

@@ -96,6 +96,15 @@ def normalised(rows: FloatArray) -> FloatArray:
     return shares
 
 
+def uniform_controller(n_actions: int, n_observations: int) -> Controller:
+    """One node that chooses uniformly among the actions."""
+    return Controller(
+        initial=np.ones((n_observations, 1)),
+        action=np.full((1, n_actions), 1.0 / n_actions),
+        successor=np.ones((n_actions, n_observations, 1, 1)),
+    )
+
+
 def random_controller(
     n_nodes: int,
     n_actions: int,

@@ -1,0 +1,1 @@
+"""Search over deterministic controllers of a team, from a simulator alone."""

@@ -1,0 +1,84 @@
+"""Best responses of one agent after the other, from episodes in which it explores."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bnprl_agents.episodes import FloatArray, IntArray
+from bnprl_agents.search.simulator import TeamSimulator, UInt64Array
+from bnprl_agents.search.tables import DecisionTables
+
+EXPLORATION = 0.2
+"""Probability with which the responding agent acts uniformly at random."""
+TRUSTED = 3
+"""Times that an action must have been tried in a node before it may be chosen there."""
+SEEDS = 128
+"""Episodes from which a response is learned."""
+
+
+def respond_in_turn(
+    simulator: TeamSimulator,
+    team: DecisionTables,
+    seeds: UInt64Array,
+    discount: float,
+    rng: np.random.Generator,
+) -> DecisionTables:
+    """Let the agents respond to each other until no response is better.
+
+    A response is kept if it is better on the seeds, so that the value never falls. In a team whose
+    agents share tables nobody can respond alone, and it comes back as it is.
+    """
+    n_agents = team.roles.size
+    if team.action.shape[1] < n_agents:
+        return team
+    value = simulator.returns(team, seeds)[0].mean()
+    agent = refused = 0
+    while refused < n_agents:
+        own = rng.integers(2**64, size=SEEDS, dtype=np.uint64)
+        tried, earned = simulator.experience(team, agent, EXPLORATION, own)
+        response = best_response(team, agent, tried, earned, discount, simulator.horizon)
+        found = simulator.returns(response, seeds)[0].mean()
+        if found > value:
+            team, value, refused = response, found, 0
+        else:
+            refused += 1
+        agent = (agent + 1) % n_agents
+    return team
+
+
+def best_response(
+    team: DecisionTables,
+    agent: int,
+    tried: IntArray,
+    earned: FloatArray,
+    discount: float,
+    horizon: int,
+) -> DecisionTables:
+    """The team with an agent's actions replaced by its best ones, its nodes taken as states.
+
+    Value iteration on Q(z, a) = r(z, a) + discount sum_o p(o | z, a) max_b Q(z'(z, o), b), where r
+    and p are the means of what was tried: the best response within the memory, if that is Markov.
+
+    Args:
+        team: one candidate.
+        agent: who responds.
+        tried: (Z, A, O) how often an observation followed an action in a node.
+        earned: (Z, A) sum of the rewards of an action in a node.
+        discount: factor in (0, 1].
+        horizon: sweeps.
+    """
+    role = team.roles[agent]
+    times = tried.sum(axis=2)
+    trusted = times >= TRUSTED
+    decided = trusted.any(axis=1)
+    reward = earned / np.maximum(times, 1)
+    chance = tried / np.maximum(times, 1)[..., None]
+    value = np.zeros(len(tried))
+    for _ in range(horizon):
+        ahead = value[team.successor[0, role, :-1]]
+        quality = reward + discount * np.einsum("zao,zo->za", chance, ahead)
+        quality[~trusted] = -np.inf
+        value = np.where(decided, quality.max(axis=1), 0.0)
+    action = team.action.copy()
+    action[0, role, decided] = quality[decided].argmax(axis=1)
+    return DecisionTables(team.roles, action, team.successor)

@@ -1,0 +1,302 @@
+"""Search for the best deterministic controllers of a team, from a simulator alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from bnprl_agents.agent import Metrics
+from bnprl_agents.controllers.controller import Controller, uniform_controller
+from bnprl_agents.controllers.learner import ControllerAgent
+from bnprl_agents.episodes import BoolArray, EpisodeBatch, IntArray
+from bnprl_agents.policy_files import Arrays
+from bnprl_agents.search.best_response import respond_in_turn
+from bnprl_agents.search.climbing import Climber
+from bnprl_agents.search.leaderboard import Leaderboard
+from bnprl_agents.search.memory import MemoryShape, random_tables, remembering_more, shapes
+from bnprl_agents.search.moves import ACT, BRANCH, REDIRECT, apply_moves, list_moves
+from bnprl_agents.search.simulator import TeamSimulator, UInt64Array
+from bnprl_agents.search.tables import DecisionTables
+
+ACTIVITIES = ("explore", "refine", "polish")
+
+
+@dataclass(frozen=True)
+class ControllerSearchConfig:
+    """Settings of `ControllerSearch`; the same serve every problem of the suite."""
+
+    nodes: int = 64
+    """Largest number of nodes of a controller."""
+    longest_period: int = 6
+    """Longest period of the clock that a restart may remember."""
+    widest_window: int = 2
+    """Most observations that a restart may remember."""
+    explore_seeds: int = 128
+    """Episodes on which the actions of a restart are climbed."""
+    refine_seeds: int = 512
+    """Episodes on which whole controllers are climbed."""
+    judge_seeds: int = 4096
+    """Episodes on which finished climbs are compared; restarts by an eighth of them."""
+    candidates: int = 16
+    """Best restarts that are kept for refinement."""
+    elites: int = 4
+    """Best refined teams that are kept for polishing."""
+    patience: int = 1024
+    """Moves in a row that may fail before a climb of whole controllers ends."""
+    kicks: int = 3
+    """Most random moves with which polishing begins."""
+    largest_team: int = 8
+    """Agents of a larger team share one controller where their spaces are equal."""
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            least = 0 if name == "widest_window" else 1
+            if value < least:
+                raise ValueError(f"{name}: {value}, must be at least {least}")
+
+
+class ControllerSearch(ControllerAgent):
+    """Local search over deterministic controllers, scored by simulated episodes.
+
+    Three activities share the simulated steps evenly. *Explore*: a random memory (a clock's phase
+    and the last observations, `MemoryShape`) with random actions; in half of the cases the agents
+    respond to each other in turn, each by value iteration on what it met while exploring, until
+    nobody gains; then single actions are climbed. *Refine*: the best restart becomes free
+    controllers, whose every action and successor is climbed, new nodes included. *Polish*: a good
+    team is disturbed, or its nodes split by the last observation, and is refined again. All
+    comparisons are paired on common random numbers, and candidates race by successive halving.
+    It needs a simulator that can be reset by seeds, and never sees a model's tables;
+    `bnprl_agents.training.train` hands it one.
+
+    Related: Amato, Bernstein and Zilberstein, JAAMAS 21, 2010 (controllers for Dec-POMDPs);
+    Pajarinen and Peltonen, NIPS 2011 (periodic controllers); Ng and Jordan, UAI 2000 (common
+    random numbers, PEGASUS); Lourenco, Martin and Stutzle 2003 (iterated local search).
+
+    Attributes:
+        elites: refined teams, best first.
+        restarts: climbed restarts that wait for refinement, best first.
+        spent: simulated steps of each activity.
+    """
+
+    Config = ControllerSearchConfig
+    config: ControllerSearchConfig
+
+    def __init__(
+        self,
+        observation_space: Any,
+        action_space: Any,
+        config: Any = None,
+        *,
+        discount: float,
+        seed: int,
+    ) -> None:
+        super().__init__(observation_space, action_space, config, discount=discount, seed=seed)
+        self.roles, members = shared_roles(
+            self.spaces.action_sizes, self.spaces.observation_sizes, self.config.largest_team
+        )
+        self.role_actions = np.array(self.spaces.action_sizes)[members]
+        self.role_observations = np.array(self.spaces.observation_sizes)[members]
+        self.judges = self._seeds(self.config.judge_seeds)
+        sizes = (self.config.nodes, int(self.role_observations.max()))
+        self.seen: BoolArray = np.zeros((len(members), sizes[1]), dtype=np.bool_)
+        self.restarts = Leaderboard.empty(self.roles, *sizes)
+        self.elites = Leaderboard.empty(self.roles, *sizes)
+        self.spent = dict.fromkeys(ACTIVITIES, 0)
+
+    @property
+    def batch_episodes(self) -> int:
+        """One: the first finished episode tells that `learn` refuses episodes."""
+        return 1
+
+    def initial_controllers(self) -> tuple[Controller, ...]:
+        """One node with uniform actions."""
+        return tuple(
+            map(uniform_controller, self.spaces.action_sizes, self.spaces.observation_sizes)
+        )
+
+    def learn(self, episodes: EpisodeBatch) -> Metrics:
+        """Refuse: episodes alone cannot be replayed.
+
+        Raises:
+            RuntimeError: always.
+        """
+        raise RuntimeError(
+            f"ControllerSearch cannot learn from {episodes.n_episodes} recorded episodes: call "
+            "improve(simulator), or train(), which makes a simulator of the environment"
+        )
+
+    def improve(self, simulator: TeamSimulator, steps: int) -> Metrics:
+        """Spend some steps on the activity that has had the fewest, and adopt the best team.
+
+        Args:
+            simulator: of the environment; all randomness comes from seeds drawn here.
+            steps: within which a climb is broken off, so that what it found can be judged.
+
+        Returns:
+            value: judged value of the controllers; nodes: of the largest one; restarts and elites:
+            how many teams are kept; and the steps spent on each activity so far.
+
+        Raises:
+            ValueError: the simulator has other action or observation sizes than the agent.
+        """
+        self._check_fit(simulator)
+        begin = simulator.steps
+        if not self.seen.any():
+            self._look_around(simulator)
+        activity = self._next_activity()
+        {"explore": self._explore, "refine": self._refine, "polish": self._polish}[activity](
+            simulator, begin + steps - 2 * self.config.judge_seeds * simulator.horizon
+        )
+        self.spent[activity] += simulator.steps - begin
+        board = self.elites if self.elites.values.size else self.restarts
+        self.controllers = board.teams.candidate(0).controllers(
+            self.spaces.action_sizes, self.spaces.observation_sizes
+        )
+        self.explore = tuple(np.zeros(c.n_nodes) for c in self.controllers)
+        return {
+            "value": float(board.values[0]),
+            "nodes": float(max(c.n_nodes for c in self.controllers)),
+            **{f"{name}_steps": float(taken) for name, taken in self.spent.items()},
+        }
+
+    def _next_activity(self) -> str:
+        possible = ["explore"]
+        if self.restarts.values.size == self.config.candidates:
+            possible.append("refine")
+        if self.elites.values.size:
+            possible.append("polish")
+        return min(possible, key=self.spent.__getitem__)
+
+    def _look_around(self, simulator: TeamSimulator) -> None:
+        """Note which observations random teams meet after their first action."""
+        n_roles, n_nodes = len(self.role_actions), self.config.nodes
+        for _ in range(256):
+            action = self.rng.integers(self.role_actions[:, None], size=(n_roles, n_nodes))
+            shape = (n_roles, n_nodes + 1, self.seen.shape[1])
+            successor = self.rng.integers(n_nodes, size=shape)
+            team = DecisionTables(
+                self.roles, action[None].astype(np.int32), successor[None].astype(np.int32)
+            )
+            self.seen |= simulator.visits(team, self._seeds(1))[:, :-1].any(axis=1)
+
+    def _explore(self, simulator: TeamSimulator, limit: int) -> None:
+        """Climb the actions of a random memory; keep the result if it is among the best."""
+        known = self._shapes()
+        label = int(self.rng.integers(len(known)))
+        if self.restarts.labels.size and self.rng.random() < 0.5:
+            label = int(self.rng.choice(self.restarts.labels))
+        team = random_tables(
+            known[label], self.roles, self.role_actions, self.seen, self.config.nodes, self.rng
+        )
+        team = self._climbed(simulator, team, (ACT,), self.config.explore_seeds, limit)
+        value = self._judged(simulator, team, self.config.judge_seeds // 8)
+        self.restarts = self.restarts.added(team, value, label, self.config.candidates)
+
+    def _refine(self, simulator: TeamSimulator, limit: int) -> None:
+        """Climb everything of the best restart, which leaves the restarts."""
+        label = int(self.restarts.labels[0])
+        team = self._refined(simulator, self.restarts.teams.candidate(0), limit)
+        self.restarts = self.restarts.without(0)
+        value = self._judged(simulator, team, self.config.judge_seeds)
+        self.elites = self.elites.added(team, value, label, self.config.elites)
+
+    def _polish(self, simulator: TeamSimulator, limit: int) -> None:
+        """Disturb a good team, or let it remember more, and climb again; keep what is better."""
+        rank = min(int(self.rng.geometric(0.5)), self.elites.values.size) - 1
+        label = int(self.elites.labels[rank])
+        team = self.elites.teams.candidate(rank)
+        grows = self.rng.random() < 0.5
+        team = remembering_more(team) if grows else self._kicked(simulator, team)
+        team = self._refined(simulator, team, limit)
+        value = self._judged(simulator, team, self.config.judge_seeds)
+        if value > self.elites.values[rank]:
+            self.elites = self.elites.without(rank).added(team, value, label, self.config.elites)
+
+    def _kicked(self, simulator: TeamSimulator, team: DecisionTables) -> DecisionTables:
+        for _ in range(int(self.rng.integers(1, self.config.kicks, endpoint=True))):
+            visits = simulator.visits(team, self._seeds(64))
+            moves, weight = list_moves(team, visits, self.role_actions, (ACT, REDIRECT, BRANCH))
+            share = np.sqrt(weight) / np.sqrt(weight).sum()
+            team = apply_moves(team, moves[[self.rng.choice(len(moves), p=share)]])
+        return team
+
+    def _refined(
+        self, simulator: TeamSimulator, team: DecisionTables, limit: int
+    ) -> DecisionTables:
+        kinds = (ACT, REDIRECT, BRANCH)
+        return self._climbed(simulator, team, kinds, self.config.refine_seeds, limit)
+
+    def _climbed(
+        self,
+        simulator: TeamSimulator,
+        team: DecisionTables,
+        kinds: tuple[int, ...],
+        size: int,
+        limit: int,
+    ) -> DecisionTables:
+        """Climb by some kinds of moves, in half of the cases after responses in turn.
+
+        Responses change much at once, but lead most starts to the same few equilibria.
+        """
+        seeds = self._seeds(size)
+        if self.rng.random() < 0.5:
+            team = respond_in_turn(simulator, team, seeds, self.discount, self.rng)
+        climber = Climber(simulator, self.role_actions, kinds, self.config.patience, limit)
+        return climber.climb(team, seeds, self.rng)
+
+    def _judged(self, simulator: TeamSimulator, team: DecisionTables, seeds: int) -> float:
+        """Mean return on the seeds that judge every team."""
+        return float(simulator.returns(team, self.judges[: max(1, seeds)]).mean())
+
+    def _shapes(self) -> list[MemoryShape]:
+        return shapes(
+            int(self.seen.sum(axis=1).max()),
+            self.config.longest_period,
+            self.config.widest_window,
+            self.config.nodes,
+        )
+
+    def _seeds(self, size: int) -> UInt64Array:
+        return self.rng.integers(2**64, size=size, dtype=np.uint64)
+
+    def _check_fit(self, simulator: TeamSimulator) -> None:
+        for name in ("action_sizes", "observation_sizes"):
+            wanted, found = getattr(self.spaces, name), getattr(simulator, name)
+            if wanted != found:
+                raise ValueError(f"simulator: {name} {found}, the agent has {wanted}")
+
+    def state_arrays(self) -> Arrays:
+        """Controllers, teams, judging seeds and the observations met."""
+        own = {"judges": self.judges, "met": self.seen}
+        boards = self.restarts.state_arrays("restarts") | self.elites.state_arrays("elites")
+        return super().state_arrays() | own | boards
+
+    def counters(self) -> dict[str, Any]:
+        """The steps spent on each activity."""
+        return {"spent": self.spent}
+
+    def restore(self, arrays: Arrays, counters: dict[str, Any]) -> None:
+        """Take over a saved state; see `Agent.restore`."""
+        super().restore(arrays, counters)
+        self.judges, self.seen = arrays["judges"], arrays["met"]
+        self.restarts = self.restarts.restored("restarts", arrays)
+        self.elites = self.elites.restored("elites", arrays)
+        self.spent = {name: int(counters["spent"][name]) for name in ACTIVITIES}
+
+
+def shared_roles(
+    action_sizes: Sequence[int], observation_sizes: Sequence[int], largest_team: int
+) -> tuple[IntArray, IntArray]:
+    """Role of each agent (N,), and one agent of each role (M,).
+
+    In a team larger than `largest_team` agents of equal spaces have the same role; in a smaller
+    one everybody has a role of its own.
+    """
+    sizes = np.stack([action_sizes, observation_sizes], axis=1)
+    if len(sizes) <= largest_team:
+        return np.arange(len(sizes)), np.arange(len(sizes))
+    _, members, roles = np.unique(sizes, axis=0, return_index=True, return_inverse=True)
+    return roles.ravel(), members
