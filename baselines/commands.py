@@ -22,7 +22,8 @@ from baselines.contenders import (
     build_learner,
     load_policy,
 )
-from baselines.evaluation import EnvironmentSpec, Evaluation, evaluate
+from baselines.environment import EnvironmentSpec
+from baselines.evaluation import Evaluation, evaluate
 from baselines.experiment import Entry, Experiment, configured_entries
 from baselines.records import FolderInUseError, RecordError, RunFiles, folder_lock
 from baselines.report import DASH, finished_runs, number, table, write_report

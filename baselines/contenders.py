@@ -16,10 +16,12 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
-from baselines.evaluation import EnvironmentSpec, Policy
+from baselines.environment import EnvironmentSpec
+from baselines.evaluation import Policy
 from bnprl_agents.agent import Agent, load
 from bnprl_agents.policy_files import read_policy
 from bnprl_agents.training import Progress, train
+from bnprl_envs.team import agent_spaces
 
 EXTRA_MODULES = ("stable_baselines3", "sb3_contrib", "torch")
 """What the extra `baselines` installs."""
@@ -169,8 +171,7 @@ class AgentLearner:
         self._env_seed = int(env_seed)
         try:
             self.agent = agent_class(
-                self._env.single_observation_space,
-                self._env.single_action_space,
+                *agent_spaces(self._env),
                 settings,
                 discount=environment.discount,
                 seed=int(agent_seed),

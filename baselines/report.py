@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from baselines.evaluation import EnvironmentSpec
+from baselines.environment import EnvironmentSpec
 from baselines.experiment import METRIC, Experiment
 from baselines.records import Record, Records, RunFiles, write_atomic
 from baselines.statistics import CONFIDENCE, mean_interval

@@ -22,7 +22,7 @@ from gymnasium.spaces import Box, Discrete
 from stable_baselines3.common.logger import KVWriter, Logger, TensorBoardOutputFormat
 from stable_baselines3.common.utils import LinearSchedule, safe_mean
 
-from baselines.evaluation import EnvironmentSpec
+from baselines.environment import EnvironmentSpec
 from baselines.sb3_policy import (
     ALGORITHMS,
     SB3Policy,

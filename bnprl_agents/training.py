@@ -47,7 +47,8 @@ def train(
 
     Args:
         agent: learns in place.
-        env: a vector environment whose autoreset is disabled.
+        env: a vector environment whose autoreset is disabled; of a team, a batch that exchanges
+            arrays (n_envs, N).
         seed: of the environment.
         episodes: budget of finished episodes.
         steps: budget of environment steps over all copies, never exceeded: the last update

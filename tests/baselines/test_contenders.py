@@ -17,7 +17,8 @@ from baselines.contenders import (
     contender,
     load_policy,
 )
-from baselines.evaluation import EnvironmentSpec, evaluate
+from baselines.environment import EnvironmentSpec
+from baselines.evaluation import evaluate
 from bnprl_agents.policy_files import PolicyFileError
 
 HALLWAY = EnvironmentSpec("bnprl/Hallway-v0", {"max_episode_steps": 15})

@@ -14,7 +14,8 @@ from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import VecCheckNan
 
-from baselines.evaluation import EnvironmentSpec, evaluate
+from baselines.environment import EnvironmentSpec
+from baselines.evaluation import evaluate
 from baselines.sb3 import SB3Learner, load_sb3_policy
 from baselines.sb3_settings import A2CSettings, DQNSettings, PPOSettings, RecurrentPPOSettings
 from baselines.sb3_vec_env import Encoder, SB3VecEnv
