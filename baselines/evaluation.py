@@ -31,7 +31,7 @@ class Policy(Protocol):
         episode_start: Any = None,
         deterministic: bool = False,
     ) -> tuple[Any, Any]:
-        """Choose actions for (n_envs,) observations, of a team (n_envs, N); return the new state too."""
+        """Choose actions for (n_envs,) observations, of a team (n_envs, N); also the new state."""
 
 
 @dataclass(frozen=True)

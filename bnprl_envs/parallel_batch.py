@@ -127,7 +127,5 @@ class ParallelBatch(VectorEnv[IntArray, IntArray, Any]):
         if (row != row[0]).any():
             other = int(np.argmax(row != row[0]))
             first, second = self.possible_agents[0], self.possible_agents[other]
-            raise ValueError(
-                f"{name}: {row[0]} of {first}, {row[other]} of {second}, but {rule}"
-            )
+            raise ValueError(f"{name}: {row[0]} of {first}, {row[other]} of {second}, but {rule}")
         return row[0]
