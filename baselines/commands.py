@@ -22,6 +22,7 @@ from baselines.environment import EnvironmentSpec
 from baselines.experiment import Entry, Experiment, configured_entries
 from baselines.records import FolderInUseError, RecordError, RunFiles, folder_lock
 from baselines.report import finished_runs, print_table, table, write_report
+from baselines.sb3_checks import check_served
 from baselines.study import load_study, open_study, read_runs
 from baselines.usage import usage_errors
 from bnprl_agents.controllers.learner import NegativeRewardError
@@ -134,9 +135,14 @@ def _check_sb3(experiment: Experiment, entry: Entry) -> None:
 
     Raises:
         MissingExtraError: a package is not installed.
-        ValueError: the budget is smaller than one rollout.
+        ValueError: it cannot serve the environment, or the budget is smaller than one rollout.
     """
-    rollout_steps = entry.build_settings().rollout_steps
+    settings = entry.build_settings()
+    try:
+        check_served(settings, experiment.environment.make_vec(1))
+    except ValueError as error:
+        raise ValueError(f"{entry.name} on {experiment.environment.id}: {error}") from error
+    rollout_steps = settings.rollout_steps
     if experiment.steps is not None and experiment.steps < rollout_steps:
         raise ValueError(
             f"--steps: {experiment.steps}, {entry.name} needs at least one rollout of "

@@ -78,10 +78,10 @@ def _agent(name: str, agent: str, config: str, summary: str) -> Contender:
     return Contender(name, summary, "bnprl", f"{module}:{config}", agent)
 
 
-def _sb3(name: str, settings: str, summary: str) -> Contender:
-    return Contender(
-        name, summary, "sb3", f"baselines.sb3_settings:{settings}", "baselines.sb3:SB3Learner"
-    )
+def _sb3(
+    name: str, settings: str, summary: str, build: str = "baselines.sb3:SB3Learner"
+) -> Contender:
+    return Contender(name, summary, "sb3", f"baselines.sb3_settings:{settings}", build)
 
 
 CONTENDERS: dict[str, Contender] = {
@@ -121,6 +121,18 @@ CONTENDERS: dict[str, Contender] = {
         _sb3("ppo", "PPOSettings", "proximal policy optimisation on a stack of observations"),
         _sb3("a2c", "A2CSettings", "advantage actor-critic on a stack of observations"),
         _sb3("recurrent-ppo", "RecurrentPPOSettings", "proximal policy optimisation with an LSTM"),
+        _sb3("ppo-shared", "SharedPPOSettings", "ppo of a team: one network for all agents"),
+        _sb3(
+            "ppo-independent",
+            "IndependentPPOSettings",
+            "ppo of a team: one network an agent",
+            "baselines.sb3_independent:IndependentPPO",
+        ),
+        _sb3(
+            "recurrent-ppo-shared",
+            "SharedRecurrentPPOSettings",
+            "recurrent-ppo of a team: one network for all agents",
+        ),
     )
 }
 """Name -> contender, in the order of listings."""

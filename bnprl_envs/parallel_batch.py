@@ -13,7 +13,7 @@ from gymnasium.vector.utils import batch_space
 from pettingzoo import ParallelEnv
 
 from bnprl_envs.arguments import checked_mask
-from bnprl_envs.team import BatchStep, IntArray
+from bnprl_envs.team import BatchStep, IntArray, joint_space
 
 
 class ParallelBatch(VectorEnv[IntArray, IntArray, Any]):
@@ -110,9 +110,7 @@ class ParallelBatch(VectorEnv[IntArray, IntArray, Any]):
         for agent, space in zip(self.possible_agents, spaces, strict=True):
             if not isinstance(space, Discrete):
                 raise ValueError(f"{kind} space of {agent}: {space}, a team's must be Discrete")
-        return MultiDiscrete(
-            [int(space.n) for space in spaces], start=[int(space.start) for space in spaces]
-        )
+        return joint_space(spaces)
 
     def _row(self, values: Mapping[str, Any], name: str) -> npt.NDArray[Any]:
         """Return one value an agent (N,)."""

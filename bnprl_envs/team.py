@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from operator import ge, index
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from gymnasium.error import ResetNeeded
-from gymnasium.spaces import Discrete
+from gymnasium.spaces import Discrete, MultiDiscrete
 from gymnasium.vector import VectorEnv
 from pettingzoo import ParallelEnv
 
@@ -204,6 +204,14 @@ def agent_spaces(env: VectorEnv[Any, Any, Any]) -> tuple[Any, Any]:
         for space in (env.single_observation_space, env.single_action_space)
     )
     return observation, action
+
+
+def joint_space(spaces: Iterable[Discrete]) -> MultiDiscrete[np.int64]:
+    """Return all agents' spaces as that of one array (N,)."""
+    parts = list(spaces)
+    return MultiDiscrete(
+        [int(space.n) for space in parts], start=[int(space.start) for space in parts]
+    )
 
 
 def checked_team_actions(
