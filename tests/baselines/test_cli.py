@@ -144,7 +144,7 @@ EM = ["compare", HALLWAY, "--agents", "online-em", *SMALL]
         ),
         (["compare", "Hallway", "--agents", "random", *SMALL], "did you mean bnprl/Hallway-v0"),
         (["compare", "bnprl/DecTiger-v0", "--agents", "ppo", *SMALL], "has several agents"),
-        (["train", "bnprl/GridTraffic-v0", "--agent", "random", *SMALL], "has several agents"),
+        (["train", HALLWAY, "--agent", "ppo-shared", *SMALL], "has one agent; ppo"),
         (["train", "no/such.POMDP", "--agent", "random", *SMALL], "no such model file"),
         (["train", HALLWAY, "--agent", "onlin-em", *SMALL], "did you mean online-em"),
         (["compare", HALLWAY, "--agents", "random", "pppo", *SMALL], "did you mean ppo"),

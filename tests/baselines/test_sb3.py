@@ -289,8 +289,8 @@ def test_predict_begins_anew_copy_by_copy(settings: Any) -> None:
     _, state = policy.predict(np.array([0, 0]), None, None, deterministic=True)
     _, state = policy.predict(np.array([1, 1]), state, np.zeros(2, bool), deterministic=True)
     start = np.array([True, False])
-    _, (stack, memory) = policy.predict(np.array([0, 2]), state, start, deterministic=True)
-    _, (fresh, fresh_memory) = policy.predict(np.array([0]), None, None, deterministic=True)
+    _, (stack, (memory,)) = policy.predict(np.array([0, 2]), state, start, deterministic=True)
+    _, (fresh, (fresh_memory,)) = policy.predict(np.array([0]), None, None, deterministic=True)
     assert (stack[0] == fresh[0]).all()
     if settings.frame_stack == 2:
         assert stack.tolist() == [one_hot(None, 0), one_hot(1, 2)]
