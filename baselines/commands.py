@@ -138,10 +138,11 @@ def _check_sb3(experiment: Experiment, entry: Entry) -> None:
         ValueError: it cannot serve the environment, or the budget is smaller than one rollout.
     """
     settings = entry.build_settings()
-    try:
-        check_served(settings, experiment.environment.make_vec(1))
-    except ValueError as error:
-        raise ValueError(f"{entry.name} on {experiment.environment.id}: {error}") from error
+    with contextlib.closing(experiment.environment.make_vec(1)) as env:
+        try:
+            check_served(settings, env)
+        except ValueError as error:
+            raise ValueError(f"{entry.name} on {experiment.environment.id}: {error}") from error
     rollout_steps = settings.rollout_steps
     if experiment.steps is not None and experiment.steps < rollout_steps:
         raise ValueError(

@@ -221,6 +221,8 @@ def _check_size(settings: SB3Settings, space: Any, n_weights: int) -> None:
     parts = space.values() if isinstance(space, Mapping) else [space]
     sizes = [int(part.n) for part in parts if isinstance(part, gym.spaces.Discrete)]
     inputs = max(sizes, default=0) * settings.frame_stack
+    if settings.team == "shared":
+        inputs += len(sizes)
     widest = max(settings.hidden_units, getattr(settings, "lstm_units", 0))
     if inputs > n_weights or widest**2 > n_weights:
         raise ValueError(f"{n_weights} weights are too few for {inputs} inputs, {widest} units")

@@ -99,7 +99,7 @@ class DiscreteSpaces:
         elif isinstance(value, Mapping):
             value = np.stack([np.atleast_1d(value[agent]) for agent in self.agents], axis=1)
         starts = np.array([space.start for space in spaces])
-        indices = np.atleast_2d(_integers(name, value)) - starts
+        indices: IntArray = np.atleast_2d(_integers(name, value)) - starts
         outside = (indices < 0) | (indices >= [space.n for space in spaces])
         if outside.any():
             copy, agent = np.argwhere(outside)[0]

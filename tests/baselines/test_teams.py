@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 import pettingzoo
 import pytest
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from gymnasium.wrappers import TimeLimit
 
 from baselines.cli import main
 from baselines.contenders import build_learner, contender, load_policy
@@ -25,13 +27,14 @@ from baselines.sb3_settings import (
 )
 from baselines.sb3_vec_env import Encoder, SB3VecEnv
 from bnprl_agents.random_agent import RandomAgent
-from bnprl_envs import ParallelBatch, TabularParallelBatch
+from bnprl_envs import ParallelBatch, TabularParallelBatch, model, write_model
 from bnprl_envs.registry import entry
 from bnprl_envs.team import joint_space
 from tests.baselines import pairs
 from tests.baselines.interruption import finish, kill_after, lines, summary
 from tests.baselines.test_sb3 import CORRIDOR, Corridor
 
+HALLWAY = EnvironmentSpec("bnprl/Hallway-v0")
 RECYCLING = EnvironmentSpec("bnprl/RecyclingRobots-v0")
 PAIR = EnvironmentSpec("tests.baselines.pairs:test/Pair-v0", {"discount": 1.0})
 TINY: dict[str, Any] = {"n_envs": 4, "n_steps": 16, "batch_size": 32, "n_epochs": 2}
@@ -56,6 +59,16 @@ def test_random_is_worth_what_the_registry_says() -> None:
         assert result.returns.mean() == pytest.approx(compiled.exact, abs=4 * error)
     assert (RECYCLING.horizon, RECYCLING.discount) == (100, 0.9)
     assert env.num_envs == 1
+
+
+def test_a_model_file_of_a_team_is_an_environment(tmp_path: Path) -> None:
+    path = tmp_path / "robots.dpomdp"
+    write_model(model(RECYCLING.id), path)
+    spec = EnvironmentSpec(str(path))
+    assert isinstance(spec.make_vec(2), TabularParallelBatch)
+    learner = build_learner(contender("random"), spec, None, seed=0)
+    result = evaluate(learner.policy, spec, episodes=10, seed=0)
+    assert result.exact == pytest.approx(entry(RECYCLING.id).references[0].value, abs=1e-5)
 
 
 def test_traffic_is_stepped() -> None:
@@ -139,15 +152,20 @@ def test_the_seed_fixes_the_run_and_looking_changes_nothing(name: str, settings:
     assert run(5, False) != run(6, False)
 
 
+def limited() -> Any:
+    return TimeLimit(Corridor(), 5)
+
+
 def test_independent_ppo_with_one_agent_is_ppo(monkeypatch: pytest.MonkeyPatch) -> None:
     numbers = TINY | {"frame_stack": 2}
+
+    def corridors(make_vec: Any) -> None:
+        monkeypatch.setattr(EnvironmentSpec, "make_vec", lambda self, n, mode="": make_vec(n))
+
+    corridors(lambda n: SyncVectorEnv([limited] * n, autoreset_mode=AutoresetMode.DISABLED))
     alone = SB3Learner(CORRIDOR, PPOSettings(**numbers), seed=3)
     slices = list(alone.learn(steps=256))
-    monkeypatch.setattr(
-        EnvironmentSpec,
-        "make_vec",
-        lambda self, n, mode="Disabled": ParallelBatch(lambda: pairs.Alone(Corridor()), n),
-    )
+    corridors(lambda n: ParallelBatch(lambda: pairs.Alone(Corridor()), n))
     team = IndependentPPO(CORRIDOR, IndependentPPOSettings(**numbers), seed=3)
     assert [p.episodes for p in team.learn(steps=256)] == [p.episodes for p in slices]
     ours, theirs = (x.policy.networks[0].state_dict() for x in (team, alone))
@@ -173,7 +191,7 @@ def test_independent_policies_serve_agents_of_different_sizes(tmp_path: Path) ->
     [
         ("ppo-shared", PAIR, "agents have 2 or 4 actions, .*; ppo-independent serves them"),
         ("ppo", RECYCLING, "it has several agents; ppo-shared"),
-        ("ppo-independent", CORRIDOR, "it has one agent; ppo"),
+        ("ppo-independent", HALLWAY, "it has one agent; ppo"),
         ("dqn", RECYCLING, "it has several agents"),
     ],
 )
