@@ -43,7 +43,7 @@ class IndependentPPO(SB3Learner):
             model._setup_model()
             models.append(model)
         self._env.seed(seed)
-        self._rows: Array = self._env.reset()
+        self._rows = self._env.reset()
         self._begun = np.ones(self.settings.n_envs, dtype=np.bool_)
         return models
 
@@ -67,7 +67,7 @@ class IndependentPPO(SB3Learner):
                 model.policy(torch.as_tensor(seen[n::size])) for n, model in enumerate(self._models)
             ]
         actions = np.stack([action.numpy() for action, _, _ in chosen], axis=1)
-        self._rows, rewards, done, infos = self._env.step(actions)
+        rows, rewards, done, infos = self._env.step(actions)
         for n, (model, (_, values, log_prob)) in enumerate(zip(self._models, chosen, strict=True)):
             model.rollout_buffer.add(
                 seen[n::size],
@@ -77,7 +77,7 @@ class IndependentPPO(SB3Learner):
                 values,
                 log_prob,
             )
-        self._begun = done[::size]
+        self._rows, self._begun = np.asarray(rows), done[::size]
 
 
 def _bootstrapped(model: Any, rewards: Array, infos: Sequence[dict[str, Any]]) -> Array:
@@ -86,7 +86,7 @@ def _bootstrapped(model: Any, rewards: Array, infos: Sequence[dict[str, Any]]) -
     for copy, info in enumerate(infos):
         if info.get("TimeLimit.truncated", False):
             value = _values(model, info["terminal_observation"][None])
-            rewards[copy] += model.gamma * float(value)
+            rewards[copy] += float(model.gamma * value)
     return rewards
 
 

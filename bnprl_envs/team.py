@@ -194,6 +194,7 @@ def agent_spaces(env: VectorEnv[Any, Any, Any]) -> tuple[Any, Any]:
     agents = getattr(env, "possible_agents", None)
     if agents is None:
         return env.single_observation_space, env.single_action_space
+    spaces: list[Any] = [env.single_observation_space, env.single_action_space]
     observation, action = (
         {
             agent: Discrete(size, start=start)
@@ -201,7 +202,7 @@ def agent_spaces(env: VectorEnv[Any, Any, Any]) -> tuple[Any, Any]:
                 agents, space.nvec.tolist(), space.start.tolist(), strict=True
             )
         }
-        for space in (env.single_observation_space, env.single_action_space)
+        for space in spaces
     )
     return observation, action
 

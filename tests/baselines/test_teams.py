@@ -77,9 +77,9 @@ def test_traffic_is_stepped() -> None:
     )
     settings = dataclasses.replace(contender("batch-em").settings, nodes=2, batch_episodes=10)
     learner = build_learner(contender("batch-em"), spec, settings, seed=0)
-    *_, last = learner.learn(episodes=32)
-    assert last.episodes == 32
-    assert last.metrics
+    progress = list(learner.learn(episodes=32))
+    assert progress[-1].episodes == 32
+    assert progress[0].metrics
     result = evaluate(learner.policy, spec, episodes=10, seed=0)
     assert (result.lengths == 20).all()
     assert result.exact is None
