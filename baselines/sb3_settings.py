@@ -100,6 +100,8 @@ class SharedPPOSettings(PPOSettings):
 
     n_steps: int = 100
     """Steps of each copy between two updates."""
+    batch_size: int = 400
+    """Steps of a minibatch; a rollout is a multiple of it for any number of agents."""
 
 
 @dataclass(frozen=True)
@@ -110,6 +112,8 @@ class IndependentPPOSettings(PPOSettings):
 
     n_steps: int = 100
     """Steps of each copy between two updates."""
+    batch_size: int = 400
+    """Steps of a minibatch; a rollout is a multiple of it for any number of agents."""
 
 
 @dataclass(frozen=True)
@@ -120,6 +124,8 @@ class SharedRecurrentPPOSettings(RecurrentPPOSettings):
 
     n_steps: int = 100
     """Steps of each copy between two updates."""
+    batch_size: int = 400
+    """Steps of a minibatch; a rollout is a multiple of it for any number of agents."""
 
 
 @dataclass(frozen=True)
