@@ -52,7 +52,11 @@ def lines(out: Path) -> dict[str, int]:
 def finish(arguments: Sequence[str], timeout: float) -> None:
     """Run the command to its end."""
     process = command(*arguments)
-    shown = process.communicate(timeout=timeout)
+    try:
+        shown = process.communicate(timeout=timeout)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        raise
     assert process.returncode == 0, shown
 
 
