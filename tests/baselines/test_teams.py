@@ -251,11 +251,11 @@ def test_a_killed_comparison_of_a_team_resumes_to_the_same_summary(tmp_path: Pat
 
 def test_a_users_own_team_is_compared_by_its_module(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    arguments = ["compare", PAIR.id, "--agents", "batch-em", "--seeds", "1", "--episodes", "40"]
+    arguments = ["compare", PAIR.id, "--agents", "batch-em", "--seeds", "1", "--episodes", "48"]
     small = ["--eval-episodes", "20", "--eval-points", "1", "--no-progress", "--jobs", "1"]
     assert main([*arguments, *small, "--out", str(out)]) == 0
     (row,) = json.loads((out / "summary.json").read_bytes())["rows"]
-    assert row["episodes"] == 40
+    assert row["episodes"] == 48
     assert main(["evaluate", str(out), "--episodes", "10", "--no-progress"]) == 0
 
 
