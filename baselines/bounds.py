@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from tqdm import tqdm
 
-from baselines.evaluation import EnvironmentSpec
+from baselines.environment import EnvironmentSpec
 from baselines.report import DASH, REFERENCE_NAMES, number
 from baselines.usage import usage_errors
 from bnprl_envs import memoryless, planning, registry

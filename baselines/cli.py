@@ -266,7 +266,9 @@ def _run(command: Any, given: list[str]) -> int:
     if isinstance(command, Compare):
         return commands.compare(command, given)
     if isinstance(command, Evaluate):
-        return commands.evaluate_policies(command)
+        from baselines.evaluate import evaluate_policies
+
+        return evaluate_policies(command)
     return commands.report(command.folder)
 
 

@@ -8,32 +8,28 @@ import importlib.util
 import logging
 import shlex
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
-
-import numpy as np
-from tqdm import tqdm
 
 from baselines.contenders import (
     CONTENDERS,
     EXTRA_MODULES,
     MissingExtraError,
     build_learner,
-    load_policy,
 )
-from baselines.evaluation import EnvironmentSpec, Evaluation, evaluate
+from baselines.environment import EnvironmentSpec
 from baselines.experiment import Entry, Experiment, configured_entries
 from baselines.records import FolderInUseError, RecordError, RunFiles, folder_lock
-from baselines.report import DASH, finished_runs, number, table, write_report
-from baselines.statistics import mean_interval
+from baselines.report import finished_runs, print_table, table, write_report
+from baselines.sb3_checks import check_served
 from baselines.study import load_study, open_study, read_runs
 from baselines.usage import usage_errors
 from bnprl_agents.controllers.learner import NegativeRewardError
 from bnprl_envs import registry
 
 if TYPE_CHECKING:
-    from baselines.cli import Compare, Evaluate, Train
+    from baselines.cli import Compare, Train
 
 
 _log = logging.getLogger(__name__)
@@ -70,7 +66,7 @@ def train(options: Train, given: Sequence[str]) -> int:
     with usage_errors():
         entry = Entry.of(options.agent, getattr(options, "settings", None))
         experiment = Experiment(
-            environment=_environment(options.id),
+            environment=environment_of(options.id),
             entries=(entry,),
             episodes=options.episodes,
             steps=options.steps,
@@ -90,7 +86,7 @@ def compare(options: Compare, given: Sequence[str]) -> int:
         if options.jobs is not None and options.jobs < 1:
             raise ValueError(f"--jobs: {options.jobs}, must be at least 1")
         experiment = Experiment(
-            environment=_environment(options.id),
+            environment=environment_of(options.id),
             entries=configured_entries(options.agents, options.set),
             episodes=options.episodes,
             steps=options.steps,
@@ -107,7 +103,7 @@ def compare(options: Compare, given: Sequence[str]) -> int:
     return _conduct(experiment, options, given, jobs=options.jobs, engine=options.engine)
 
 
-def _environment(id: str) -> EnvironmentSpec:
+def environment_of(id: str) -> EnvironmentSpec:
     """Return an environment that exists and can be made.
 
     Raises:
@@ -115,8 +111,7 @@ def _environment(id: str) -> EnvironmentSpec:
         OSError: the model file cannot be read.
     """
     environment = EnvironmentSpec(id)
-    environment.make_vec(1).close()
-    _ = environment.horizon, environment.discount
+    environment.try_out()
     return environment
 
 
@@ -140,9 +135,15 @@ def _check_sb3(experiment: Experiment, entry: Entry) -> None:
 
     Raises:
         MissingExtraError: a package is not installed.
-        ValueError: the budget is smaller than one rollout.
+        ValueError: it cannot serve the environment, or the budget is smaller than one rollout.
     """
-    rollout_steps = entry.build_settings().rollout_steps
+    settings = entry.build_settings()
+    with contextlib.closing(experiment.environment.make_vec(1)) as env:
+        try:
+            check_served(settings, env)
+        except ValueError as error:
+            raise ValueError(f"{entry.name} on {experiment.environment.id}: {error}") from error
+    rollout_steps = settings.rollout_steps
     if experiment.steps is not None and experiment.steps < rollout_steps:
         raise ValueError(
             f"--steps: {experiment.steps}, {entry.name} needs at least one rollout of "
@@ -232,81 +233,5 @@ def report(folder: Path) -> int:
 def _report(folder: Path) -> None:
     with usage_errors(RecordError):
         summary = write_report(folder)
-    _print_table(table(summary))
+    print_table(table(summary))
     print(f"report: {folder / 'report.html'}")
-
-
-def evaluate_policies(options: Evaluate) -> int:
-    """Evaluate the policies of a folder, or one policy file."""
-    with usage_errors():
-        if options.episodes < 1:
-            raise ValueError(f"--episodes: {options.episodes}, must be at least 1")
-        if options.seed < 0:
-            raise ValueError(f"--seed: {options.seed}, must be at least 0")
-        environment, policies = _find_policies(options)
-        results: dict[str, list[Evaluation]] = {}
-        for name, path in tqdm(policies, unit=" policies", disable=not options.progress, delay=1):
-            policy = load_policy(path)
-            seed = np.random.SeedSequence([options.seed, len(results.get(name, []))])
-            result = evaluate(policy, environment, episodes=options.episodes, seed=seed)
-            results.setdefault(name, []).append(result)
-    rows = [_evaluation_row(name, found, options) for name, found in results.items()]
-    print(f"{environment.id}: mean discounted return")
-    _print_table([["policy", "mean", "95% interval", "over", "exact"], *rows])
-    return 0
-
-
-def _find_policies(options: Evaluate) -> tuple[EnvironmentSpec, list[tuple[str, Path]]]:
-    """Return the environment and (label, file) of each policy."""
-    target = options.target
-    if not target.exists():
-        raise ValueError(f"{target}: no such file or folder")
-    if target.is_file():
-        load_policy(target)  # what is wrong with the file is said first
-        if options.env is not None:
-            return _environment(options.env), [(target.name, target)]
-        folder = target.resolve().parent.parent.parent
-        if not (folder / "experiment.json").is_file():
-            raise ValueError(f"{target}: lies in no experiment's folder; name it with --env ID")
-        return load_study(folder).experiment.environment, [(target.name, target)]
-    experiment = load_study(target).experiment
-    runs = (
-        RunFiles(target, entry.name, index)
-        for entry in experiment.entries
-        for index in range(experiment.seeds)
-    )
-    found = [(files.contender, files.find_policy()) for files in runs]
-    policies = [(name, path) for name, path in found if path is not None]
-    if not policies:
-        raise ValueError(f"{target}: holds no policy yet")
-    environment = experiment.environment if options.env is None else _environment(options.env)
-    return environment, policies
-
-
-def _evaluation_row(name: str, results: Sequence[Evaluation], options: Evaluate) -> list[str]:
-    """Return the cells of one contender: over its seeds, or one policy over episodes."""
-    if len(results) == 1:
-        values, over = results[0].returns, f"{options.episodes:,} episodes"
-    else:
-        values, over = np.array([r.returns.mean() for r in results]), f"{len(results)} seeds"
-    interval = mean_interval(values, seed=options.seed)
-    exact = [result.exact for result in results if result.exact is not None]
-    low, high = number(interval.low, ".4f"), number(interval.high, ".4f")
-    return [
-        name,
-        number(interval.mean, ".4f"),
-        DASH if interval.low is None else f"{low} to {high}",
-        over,
-        number(sum(exact) / len(exact) if exact else None, ".4f"),
-    ]
-
-
-def _print_table(rows: Iterable[Sequence[str]]) -> None:
-    rows = list(rows)
-    widths = [max(len(cell) for cell in column) for column in zip(*rows, strict=True)]
-    for row in rows:
-        first, *others = (
-            cell.ljust(width) if index == 0 else cell.rjust(width)
-            for index, (cell, width) in enumerate(zip(row, widths, strict=True))
-        )
-        print("  ".join([first, *others]).rstrip())

@@ -16,10 +16,12 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
-from baselines.evaluation import EnvironmentSpec, Policy
+from baselines.environment import EnvironmentSpec
+from baselines.evaluation import Policy
 from bnprl_agents.agent import Agent, load
 from bnprl_agents.policy_files import read_policy
 from bnprl_agents.training import Progress, train
+from bnprl_envs.team import agent_spaces
 
 EXTRA_MODULES = ("stable_baselines3", "sb3_contrib", "torch")
 """What the extra `baselines` installs."""
@@ -76,10 +78,10 @@ def _agent(name: str, agent: str, config: str, summary: str) -> Contender:
     return Contender(name, summary, "bnprl", f"{module}:{config}", agent)
 
 
-def _sb3(name: str, settings: str, summary: str) -> Contender:
-    return Contender(
-        name, summary, "sb3", f"baselines.sb3_settings:{settings}", "baselines.sb3:SB3Learner"
-    )
+def _sb3(
+    name: str, settings: str, summary: str, build: str = "baselines.sb3:SB3Learner"
+) -> Contender:
+    return Contender(name, summary, "sb3", f"baselines.sb3_settings:{settings}", build)
 
 
 CONTENDERS: dict[str, Contender] = {
@@ -125,6 +127,18 @@ CONTENDERS: dict[str, Contender] = {
         _sb3("ppo", "PPOSettings", "proximal policy optimisation on a stack of observations"),
         _sb3("a2c", "A2CSettings", "advantage actor-critic on a stack of observations"),
         _sb3("recurrent-ppo", "RecurrentPPOSettings", "proximal policy optimisation with an LSTM"),
+        _sb3("ppo-shared", "SharedPPOSettings", "ppo of a team: one network for all agents"),
+        _sb3(
+            "ppo-independent",
+            "IndependentPPOSettings",
+            "ppo of a team: one network an agent",
+            "baselines.sb3_independent:IndependentPPO",
+        ),
+        _sb3(
+            "recurrent-ppo-shared",
+            "SharedRecurrentPPOSettings",
+            "recurrent-ppo of a team: one network for all agents",
+        ),
     )
 }
 """Name -> contender, in the order of listings."""
@@ -175,8 +189,7 @@ class AgentLearner:
         self._env_seed = int(env_seed)
         try:
             self.agent = agent_class(
-                self._env.single_observation_space,
-                self._env.single_action_space,
+                *agent_spaces(self._env),
                 settings,
                 discount=environment.discount,
                 seed=int(agent_seed),

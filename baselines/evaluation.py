@@ -1,32 +1,22 @@
-"""Which environment, as data, and the one evaluation that every policy goes through."""
+"""The one evaluation that every policy goes through."""
 
 from __future__ import annotations
 
 import contextlib
-import difflib
-import os
 from collections.abc import Iterator
-from dataclasses import dataclass, field
-from functools import lru_cache
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any, Protocol
 
-import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
-from gymnasium.vector import VectorEnv
 
-from bnprl_envs import registry
+from baselines.environment import AnyVectorEnv, EnvironmentSpec
 from bnprl_envs.model import TabularModel
+from bnprl_envs.team import agent_spaces
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
-AnyVectorEnv = VectorEnv[Any, Any, Any]
 
-FILE_HORIZON = 251
-"""Steps of an episode in the environment of a model file, where not given."""
-GYMNASIUM_DISCOUNT = 0.99
-"""Discount of an environment that states none, where not given."""
 COPIES = 1024
 """Largest number of copies that one evaluation steps together."""
 
@@ -41,146 +31,7 @@ class Policy(Protocol):
         episode_start: Any = None,
         deterministic: bool = False,
     ) -> tuple[Any, Any]:
-        """Choose actions for (n_envs,) observations; return them and the new state."""
-
-
-@dataclass(frozen=True)
-class EnvironmentSpec:
-    """Which environment, as data that JSON can hold.
-
-    Attributes:
-        id: an id of this suite, an id of Gymnasium, or the path of a model file (any existing
-            file; names that end in .pomdp, .POMDP or .dpomdp are always paths).
-        kwargs: constructor keywords (`resetting=True`). `max_episode_steps` and `discount` can
-            be given for every environment and replace its own.
-    """
-
-    id: str
-    kwargs: dict[str, Any] = field(default_factory=dict)
-
-    def make_vec(self, num_envs: int, autoreset_mode: str = "Disabled") -> AnyVectorEnv:
-        """Make a batch of copies.
-
-        Args:
-            num_envs: number of copies.
-            autoreset_mode: "Disabled", "SameStep" or "NextStep".
-
-        Raises:
-            ValueError: there is no such environment (near misses are named), it does not take
-                the keywords, or it has several agents.
-            OSError: the model file cannot be read.
-        """
-        entry = None if self._is_file() else self._entry()
-        if entry is not None and entry.kind.startswith("parallel"):
-            raise ValueError(
-                f"{self.id} has several agents; training and comparing serve one agent so far"
-            )
-        model = self.model()
-        if model is not None:
-            from bnprl_envs.tabular_vector import TabularVectorEnv  # imports numba
-
-            return TabularVectorEnv(
-                model, num_envs, max_episode_steps=self.horizon, autoreset_mode=autoreset_mode
-            )
-        known = gym.spec(self.id).vector_entry_point if self.id.startswith("bnprl/") else None
-        modes: dict[str, Any] = (
-            {"autoreset_mode": autoreset_mode}
-            if known is not None
-            else {
-                "vectorization_mode": "sync",
-                "vector_kwargs": {"autoreset_mode": gym.vector.AutoresetMode(autoreset_mode)},
-            }
-        )
-        keywords = {name: value for name, value in self.kwargs.items() if name != "discount"}
-        try:
-            return gym.make_vec(self.id, num_envs=num_envs, **modes, **keywords)
-        except TypeError as error:
-            raise ValueError(f"{self.id}: {error}") from error
-
-    def model(self) -> TabularModel | None:
-        """Return the tables; None where the environment has none.
-
-        Raises:
-            ValueError: as `make_vec`.
-            OSError: the model file cannot be read.
-        """
-        arguments = dict(self.kwargs)
-        arguments.pop("max_episode_steps", None)
-        discount = arguments.pop("discount", None)
-        if not self._is_file():
-            entry = self._entry()
-            if entry is None or entry.kind != "tabular":
-                return None
-        elif not Path(self.id).is_file():
-            raise ValueError(f"{self.id}: there is no such model file")
-        try:
-            stamp = os.stat(self.id).st_mtime_ns if self._is_file() else None
-            return _model(self.id, stamp, discount, **arguments)
-        except TypeError as error:
-            raise ValueError(f"{self.id}: {error}") from error
-
-    @property
-    def horizon(self) -> int | None:
-        """Steps before an episode is truncated; None: no limit.
-
-        Raises:
-            ValueError: there is no such environment.
-        """
-        given: int | None = self.kwargs.get("max_episode_steps")
-        if given is not None:
-            return given
-        if self._is_file():
-            return FILE_HORIZON
-        entry = self._entry()
-        return gym.spec(self.id).max_episode_steps if entry is None else entry.horizon
-
-    @property
-    def discount(self) -> float:
-        """Factor of the returns, in (0, 1].
-
-        Raises:
-            ValueError: there is no such environment, or the factor is out of range.
-            OSError: the model file cannot be read.
-        """
-        given = self.kwargs.get("discount")
-        if given is None:
-            model, entry = self.model(), None if self._is_file() else self._entry()
-            if model is not None:
-                return model.discount
-            return GYMNASIUM_DISCOUNT if entry is None else entry.discount
-        if not 0.0 < given <= 1.0:
-            raise ValueError(f"discount: {given}, must lie in (0, 1]")
-        return float(given)
-
-    def _is_file(self) -> bool:
-        return self.id.lower().endswith((".pomdp", ".dpomdp")) or Path(self.id).is_file()
-
-    def _entry(self) -> registry.Entry | None:
-        """Return the suite's entry, None for another environment of Gymnasium."""
-        if self.id in registry.environment_ids():
-            return registry.entry(self.id)
-        if self.id in gym.registry:
-            return None
-        near = difflib.get_close_matches(self.id, gym.registry, n=3, cutoff=0.75)
-        if near and not any(name.startswith("bnprl/") for name in near):
-            raise ValueError(f"unknown environment {self.id!r}; did you mean {' or '.join(near)}?")
-        return registry.entry(self.id)  # raises, and names near misses
-
-
-@lru_cache(maxsize=32)
-def _model(
-    source: str, modified: int | None, discount: float | None, **arguments: Any
-) -> TabularModel:
-    """Read or build a model; `modified` makes a changed file a new one."""
-    if modified is None:
-        model = registry.model(source, **arguments)
-    elif arguments:
-        raise TypeError(f"a model file takes no keyword {', '.join(sorted(arguments))}")
-    else:
-        from bnprl_envs.model_files import read_model
-
-        model = read_model(source)
-    return model if discount is None else model.replace(discount=discount)
+        """Choose actions for (n_envs,) observations, of a team (n_envs, N); also the new state."""
 
 
 @dataclass(frozen=True)
@@ -305,8 +156,8 @@ def _simulate(
 
 def _check_spaces(policy: Any, env: AnyVectorEnv) -> None:
     """Refuse a policy that says it was made for other spaces."""
-    for name in ("observation_space", "action_space"):
-        made_for, here = getattr(policy, name, None), getattr(env, f"single_{name}")
+    for name, here in zip(("observation_space", "action_space"), agent_spaces(env), strict=True):
+        made_for = getattr(policy, name, None)
         if made_for is not None and made_for != here:
             raise ValueError(f"the policy's {name} is {made_for}, the environment's is {here}")
 

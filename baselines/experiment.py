@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from baselines.contenders import Contender, contender
-from baselines.evaluation import EnvironmentSpec
+from baselines.environment import EnvironmentSpec
 from baselines.records import check_name
 
 METRIC = "mean discounted return"

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from baselines.evaluation import EnvironmentSpec
+from baselines.environment import EnvironmentSpec
 from baselines.experiment import METRIC, Experiment
 from baselines.records import Record, Records, RunFiles, write_atomic
 from baselines.statistics import CONFIDENCE, mean_interval
@@ -187,3 +187,14 @@ def _cells(row: Row) -> list[str]:
 def number(value: float | None, form: str) -> str:
     """Return a number as text, a dash for none."""
     return DASH if value is None else format(value, form).replace("-", "−")
+
+
+def print_table(rows: Sequence[Sequence[str]]) -> None:
+    """Print cells in columns, of which the first is aligned to the left."""
+    widths = [max(len(cell) for cell in column) for column in zip(*rows, strict=True)]
+    for row in rows:
+        first, *others = (
+            cell.ljust(width) if index == 0 else cell.rjust(width)
+            for index, (cell, width) in enumerate(zip(row, widths, strict=True))
+        )
+        print("  ".join([first, *others]).rstrip())

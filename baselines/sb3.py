@@ -1,8 +1,8 @@
 """Stable-Baselines3's learners behind the interface of every contender.
 
-The only module (with `sb3_policy` and `sb3_vec_env`) that imports Stable-Baselines3 and torch,
-which takes seconds: `baselines.contenders` names it by string and imports it when such a learner
-is built.
+Only the modules `baselines.sb3*`, settings and checks aside, import Stable-Baselines3 and torch,
+which takes seconds: `baselines.contenders` names them by string and imports them when such a
+learner is built.
 
 Stable-Baselines3 draws from the global generators of numpy, torch and Python while it learns.
 Predictions in between draw from a generator of their own, so that a learning curve depends on
@@ -18,27 +18,31 @@ from typing import Any
 
 import numpy as np
 import torch
-from gymnasium.spaces import Box, Discrete
 from stable_baselines3.common.logger import KVWriter, Logger, TensorBoardOutputFormat
 from stable_baselines3.common.utils import LinearSchedule, safe_mean
 
-from baselines.evaluation import EnvironmentSpec
+from baselines.environment import EnvironmentSpec
+from baselines.sb3_checks import check_served
 from baselines.sb3_policy import (
     ALGORITHMS,
     SB3Policy,
+    build_encoder,
     load_sb3_policy,
     policy_keywords,
     save_sb3_policy,
 )
 from baselines.sb3_settings import DQNSettings, PPOSettings, SB3Settings
-from baselines.sb3_vec_env import Encoder, SB3VecEnv
+from baselines.sb3_vec_env import SB3VecEnv
 from bnprl_agents.training import Progress
+from bnprl_envs.team import agent_spaces
 
 __all__ = ["SB3Learner", "SB3Policy", "load_sb3_policy"]
 
 
 class SB3Learner:
     """One of Stable-Baselines3's algorithms, learning in slices of a rollout.
+
+    In a team one network serves all agents: to the algorithm each agent is a copy of its own.
 
     Args:
         environment: what to learn in; `settings.n_envs` copies are made.
@@ -47,7 +51,7 @@ class SB3Learner:
         tensorboard: folder for the algorithm's own log; None: no log.
 
     Raises:
-        ValueError: the algorithm cannot serve the environment's spaces.
+        ValueError: the algorithm cannot serve the environment.
     """
 
     policy_suffix = ".npz"
@@ -62,31 +66,24 @@ class SB3Learner:
         torch.set_num_threads(1)  # two only slow networks of this size
         env = environment.make_vec(settings.n_envs, "Disabled")
         try:
-            encoder = Encoder(env.single_observation_space, settings.frame_stack)
-            _check_actions(env.single_action_space, settings)
+            check_served(settings, env)
         except ValueError as error:
             raise ValueError(f"{environment.id}: {error}") from error
         self.settings = settings
-        self._spaces = (env.single_observation_space, env.single_action_space)
+        self._spaces = agent_spaces(env)
+        encoder = build_encoder(settings, self._spaces[0])
         self._env = SB3VecEnv(env, encoder)
-        algorithm, policy_name = ALGORITHMS[type(settings)]
-        constructor: Any = algorithm
         first, second = np.random.SeedSequence(seed).generate_state(2)
-        self._model: Any = constructor(
-            policy_name,
-            self._env,
-            gamma=environment.discount,
-            policy_kwargs=policy_keywords(settings),
-            seed=int(first),
-            device="cpu",
-            **_keywords(settings),
-        )
-        self._latest = _Latest()
-        outputs: list[KVWriter] = [self._latest]
-        if tensorboard is not None:
-            outputs.append(TensorBoardOutputFormat(str(tensorboard)))
-        self._model.set_logger(Logger(None, outputs))
-        self._policy = SB3Policy(self._model.policy, encoder, *self._spaces, int(second))
+        self._models = self._build_models(environment.discount, int(first))
+        self._latest = [_Latest() for _ in self._models]
+        for index, (model, latest) in enumerate(zip(self._models, self._latest, strict=True)):
+            outputs: list[KVWriter] = [latest]
+            if tensorboard is not None:
+                folder = tensorboard / f"agent_{index}" if len(self._models) > 1 else tensorboard
+                outputs.append(TensorBoardOutputFormat(str(folder)))
+            model.set_logger(Logger(None, outputs))
+        networks = [model.policy for model in self._models]
+        self._policy = SB3Policy(networks, encoder, *self._spaces, int(second))
         self._used = False
 
     @property
@@ -122,10 +119,10 @@ class SB3Learner:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the policy (not the learner) to a file that `load_sb3_policy` reads."""
-        save_sb3_policy(path, self._model.policy, self.settings, *self._spaces)
+        save_sb3_policy(path, self._policy, self.settings)
 
     def _slices(self, episodes: int | None, steps: int | None) -> Iterator[Progress]:
-        env, model, size = self._env, self._model, self.settings.rollout_steps
+        env, size = self._env, self.settings.rollout_steps
 
         def share_left(_: float = 0.0) -> float:
             spent = env.episodes / episodes if episodes else env.steps / (steps or 1)
@@ -135,27 +132,40 @@ class SB3Learner:
             epsilon = LinearSchedule(
                 1.0, self.settings.exploration_final, self.settings.exploration_fraction
             )
-            model.exploration_schedule = lambda _: epsilon(share_left())
+            self._models[0].exploration_schedule = lambda _: epsilon(share_left())
         try:
             while share_left() > 0.0 and (steps is None or env.steps + size <= steps):
-                model.learn(size, reset_num_timesteps=False)
+                self._roll_out()
                 yield Progress(env.episodes, env.steps, self._metrics())
         finally:
-            model.logger.close()
+            for model in self._models:
+                model.logger.close()
             env.close()
 
+    def _build_models(self, discount: float, seed: int) -> list[Any]:
+        """Return the algorithms at work, one for each network."""
+        algorithm, policy_name = ALGORITHMS[type(self.settings)]
+        constructor: Any = algorithm
+        keywords = algorithm_keywords(self.settings)
+        return [constructor(policy_name, self._env, gamma=discount, seed=seed, **keywords)]
+
+    def _roll_out(self) -> None:
+        """Learn from one more rollout."""
+        rows = self.settings.rollout_steps * self._env.encoder.rows
+        self._models[0].learn(rows, reset_num_timesteps=False)
+
     def _metrics(self) -> dict[str, float]:
-        """Return what the algorithm logged last, in its names, returns undiscounted."""
-        recent = self._model.ep_info_buffer or ()
-        logged = self._latest.values | self._model.logger.name_to_value
-        if recent:
-            logged["rollout/ep_rew_mean"] = safe_mean([episode["r"] for episode in recent])
-            logged["rollout/ep_len_mean"] = safe_mean([episode["l"] for episode in recent])
-        return {
-            name: float(value)
-            for name, value in sorted(logged.items())
-            if name.startswith(("rollout/", "train/"))
-        }
+        """Return what the algorithms logged last, in their names, returns undiscounted."""
+        logged: dict[str, list[float]] = {}
+        for model, latest in zip(self._models, self._latest, strict=True):
+            for name, value in (latest.values | model.logger.name_to_value).items():
+                if name.startswith(("rollout/", "train/")):
+                    logged.setdefault(name, []).append(float(value))
+        if self._env.recent:
+            returns, lengths = zip(*self._env.recent, strict=True)
+            logged["rollout/ep_rew_mean"] = list(returns)
+            logged["rollout/ep_len_mean"] = list(lengths)
+        return {name: safe_mean(np.array(values)) for name, values in sorted(logged.items())}
 
 
 class _Latest(KVWriter):
@@ -173,18 +183,11 @@ class _Latest(KVWriter):
         pass
 
 
-def _check_actions(space: Any, settings: SB3Settings) -> None:
-    """Refuse an action space that the algorithm cannot serve."""
-    continuous = isinstance(space, Box) and not isinstance(settings, DQNSettings)
-    if not continuous and not (isinstance(space, Discrete) and space.start == 0):
-        allowed = "Discrete from 0" + ("" if isinstance(settings, DQNSettings) else " or Box")
-        raise ValueError(f"action space {space}, must be {allowed}")
-
-
-def _keywords(settings: SB3Settings) -> dict[str, Any]:
+def algorithm_keywords(settings: SB3Settings) -> dict[str, Any]:
     """Return what the algorithm's constructor takes, by its own names."""
+    common = {"policy_kwargs": policy_keywords(settings), "device": "cpu"}
     if isinstance(settings, DQNSettings):
-        return {
+        return common | {
             "learning_rate": settings.learning_rate,
             "buffer_size": settings.buffer_size,
             "batch_size": settings.batch_size,
@@ -193,7 +196,7 @@ def _keywords(settings: SB3Settings) -> dict[str, Any]:
             "gradient_steps": settings.gradient_steps,
             "target_update_interval": settings.target_update,
         }
-    keywords = {
+    keywords = common | {
         "learning_rate": settings.learning_rate,
         "n_steps": settings.n_steps,
         "gae_lambda": settings.gae_lambda,

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import gymnasium as gym
@@ -22,9 +23,12 @@ from stable_baselines3.common.policies import BasePolicy
 from baselines.sb3_settings import (
     A2CSettings,
     DQNSettings,
+    IndependentPPOSettings,
     PPOSettings,
     RecurrentPPOSettings,
     SB3Settings,
+    SharedPPOSettings,
+    SharedRecurrentPPOSettings,
 )
 from baselines.sb3_vec_env import Encoder
 from bnprl_agents.policy_files import (
@@ -34,6 +38,7 @@ from bnprl_agents.policy_files import (
     refusing_damage,
     write_policy,
 )
+from bnprl_envs.team import joint_space
 
 Array = npt.NDArray[Any]
 
@@ -43,7 +48,10 @@ FORMAT = "bnprl-sb3-policy"
 ALGORITHMS: dict[type[Any], tuple[type[BaseAlgorithm], str]] = {
     A2CSettings: (A2C, "MlpPolicy"),
     PPOSettings: (PPO, "MlpPolicy"),
+    SharedPPOSettings: (PPO, "MlpPolicy"),
+    IndependentPPOSettings: (PPO, "MlpPolicy"),
     RecurrentPPOSettings: (RecurrentPPO, "MlpLstmPolicy"),
+    SharedRecurrentPPOSettings: (RecurrentPPO, "MlpLstmPolicy"),
     DQNSettings: (DQN, "MlpPolicy"),
 }
 """Settings -> the algorithm and the name of its policy class."""
@@ -53,10 +61,10 @@ class SB3Policy:
     """A learned policy that takes the environment's own observations and does the encoding.
 
     Args:
-        policy: the networks.
+        networks: one; in a team one for all agents or one each.
         encoder: of the environment's observations.
-        observation_space: of the environment.
-        action_space: of the environment.
+        observation_space: of the environment; of a team, a dict by agent.
+        action_space: likewise.
         seed: of the draws that `predict` makes.
 
     Attributes:
@@ -65,17 +73,18 @@ class SB3Policy:
 
     def __init__(
         self,
-        policy: BasePolicy,
+        networks: Sequence[BasePolicy],
         encoder: Encoder,
-        observation_space: gym.Space[Any],
-        action_space: gym.Space[Any],
+        observation_space: Any,
+        action_space: Any,
         seed: int = 0,
     ) -> None:
-        self.networks = policy
+        self.networks = tuple(networks)
         self.observation_space = observation_space
         self.action_space = action_space
         self.predict_rng = np.random.default_rng(seed)
         self._encoder = encoder
+        self._team = isinstance(action_space, Mapping)
 
     def predict(
         self,
@@ -87,17 +96,20 @@ class SB3Policy:
         """Choose actions; the signature is Stable-Baselines3's.
 
         Args:
-            observation: (n_envs,) observations of the environment, or a scalar.
-            state: what the last call returned (frame stack and LSTM state); None at the start.
+            observation: (n_envs,) observations of the environment, or a scalar; of a team a dict
+                of these by agent, or (n_envs, N).
+            state: what the last call returned (frame stack and LSTM states); None at the start.
             episode_start: (n_envs,) booleans: where true the state is begun anew.
             deterministic: take the most probable action instead of sampling. A Q-network's
                 policy is greedy in both cases.
 
         Returns:
-            The actions and the new state.
+            The actions, in the form of the observations, and the new state.
         """
-        shape = self._encoder.shape
+        shape, agents = self._encoder.shape, tuple(self.action_space) if self._team else ()
         seen = np.asarray(observation)
+        if isinstance(observation, Mapping):
+            seen = np.stack([np.asarray(observation[agent]) for agent in agents], axis=-1)
         scalar = seen.shape == shape
         seen = seen.reshape(-1, *shape)
         begun = np.zeros(len(seen), dtype=np.bool_)
@@ -105,32 +117,49 @@ class SB3Policy:
             begun[:] = True
         elif episode_start is not None:
             begun |= np.asarray(episode_start, dtype=np.bool_)
-        stack, memory = (None, None) if state is None else state
+        stack, memories = (None, (None,) * len(self.networks)) if state is None else state
         stack = self._encoder.encode(seen, stack, begun)
+        actions, memories = self._chosen(stack, memories, begun, deterministic)
+        if self._team:
+            actions = actions.reshape(len(seen), -1)
+        chosen = actions[0] if scalar else actions
+        if isinstance(observation, Mapping):
+            chosen = dict(zip(agents, chosen.T, strict=True))
+        return chosen, (stack, memories)
+
+    def _chosen(
+        self, rows: Array, memories: Any, begun: Array, deterministic: bool
+    ) -> tuple[Array, Any]:
+        """Ask network m of M about the rows m, m + M, ...; return all actions and memories."""
+        m_all = len(self.networks)
+        starts = np.repeat(begun, self._encoder.rows)
         with torch.random.fork_rng(devices=()):
             torch.manual_seed(int(self.predict_rng.integers(2**63)))
-            action, memory = self.networks.predict(stack, memory, begun, deterministic)
-        return action[0] if scalar else action, (stack, memory)
+            found = [
+                network.predict(rows[m::m_all], memories[m], starts[m::m_all], deterministic)
+                for m, network in enumerate(self.networks)
+            ]
+        actions = np.stack([action for action, _ in found], axis=1).reshape(
+            len(rows), *found[0][0].shape[1:]
+        )
+        return actions, tuple(memory for _, memory in found)
 
 
-def save_sb3_policy(
-    path: str | os.PathLike[str],
-    networks: BasePolicy,
-    settings: SB3Settings,
-    observation_space: gym.Space[Any],
-    action_space: gym.Space[Any],
-) -> None:
+def save_sb3_policy(path: str | os.PathLike[str], policy: SB3Policy, settings: SB3Settings) -> None:
     """Write a policy's weights as plain arrays; the file appears by atomic rename."""
-    algorithm, _ = ALGORITHMS[type(settings)]
     meta = {
         "format": FORMAT,
         "version": 1,
-        "algorithm": algorithm.__name__,
+        "settings_type": type(settings).__name__,
         "settings": dataclasses.asdict(settings),
-        "observation_space": describe_space(observation_space),
-        "action_space": describe_space(action_space),
+        "observation_space": describe_space(policy.observation_space),
+        "action_space": describe_space(policy.action_space),
     }
-    arrays = {f"weights/{name}": w.numpy() for name, w in networks.state_dict().items()}
+    arrays = {
+        f"weights/{m}/{name}": weight.numpy()
+        for m, network in enumerate(policy.networks)
+        for name, weight in network.state_dict().items()
+    }
     write_policy(path, meta, arrays)
 
 
@@ -151,30 +180,49 @@ def _rebuilt(meta: Any, arrays: dict[str, Array]) -> SB3Policy:
     """Build a policy's networks from its settings and fill in the weights."""
     if meta["format"] != FORMAT or meta["version"] != 1:
         raise ValueError(f"format {meta['format']!r}, version {meta['version']!r}")
-    named = {cls.__name__: (kind, cls, name) for kind, (cls, name) in ALGORITHMS.items()}
-    kind, algorithm, policy_name = named[meta["algorithm"]]
+    kind = {kind.__name__: kind for kind in ALGORITHMS}[meta["settings_type"]]
     settings = kind(**meta["settings"])
     observation_space = build_space(meta["observation_space"])
     action_space = build_space(meta["action_space"])
     _check_size(settings, observation_space, sum(array.size for array in arrays.values()))
-    encoder = Encoder(observation_space, settings.frame_stack)
-    networks = algorithm.policy_aliases[policy_name](
-        encoder.space,
-        action_space,
-        lambda _: 0.0,
-        **policy_keywords(settings),
-    )
-    weights = {
-        name.removeprefix("weights/"): torch.as_tensor(array, dtype=torch.float32)
-        for name, array in arrays.items()
-    }
-    networks.load_state_dict(weights)
+    encoder = build_encoder(settings, observation_space)
+    algorithm, policy_name = ALGORITHMS[kind]
+    networks = []
+    for m, space in enumerate(network_actions(settings, action_space)):
+        network = algorithm.policy_aliases[policy_name](
+            encoder.space, space, lambda _: 0.0, **policy_keywords(settings)
+        )
+        prefix = f"weights/{m}/"
+        weights = {
+            name.removeprefix(prefix): torch.as_tensor(array, dtype=torch.float32)
+            for name, array in arrays.items()
+            if name.startswith(prefix)
+        }
+        network.load_state_dict(weights)
+        networks.append(network)
     return SB3Policy(networks, encoder, observation_space, action_space)
 
 
-def _check_size(settings: SB3Settings, space: gym.Space[Any], n_weights: int) -> None:
+def build_encoder(settings: SB3Settings, observation_space: Any) -> Encoder:
+    """Return the encoder of an environment's observations; the space of a team is a dict."""
+    if isinstance(observation_space, Mapping):
+        observation_space = joint_space(observation_space.values())
+    return Encoder(observation_space, settings.frame_stack, indexed=settings.team == "shared")
+
+
+def network_actions(settings: SB3Settings, action_space: Any) -> list[gym.Space[Any]]:
+    """Return the action space of each network; the space of a team is a dict by agent."""
+    spaces = list(action_space.values()) if isinstance(action_space, Mapping) else [action_space]
+    return spaces if settings.team == "independent" else spaces[:1]
+
+
+def _check_size(settings: SB3Settings, space: Any, n_weights: int) -> None:
     """Refuse to build networks much larger than the weights that are to fill them."""
-    inputs = int(space.n) * settings.frame_stack if isinstance(space, gym.spaces.Discrete) else 0
+    parts = space.values() if isinstance(space, Mapping) else [space]
+    sizes = [int(part.n) for part in parts if isinstance(part, gym.spaces.Discrete)]
+    inputs = max(sizes, default=0) * settings.frame_stack
+    if settings.team == "shared":
+        inputs += len(sizes)
     widest = max(settings.hidden_units, getattr(settings, "lstm_units", 0))
     if inputs > n_weights or widest**2 > n_weights:
         raise ValueError(f"{n_weights} weights are too few for {inputs} inputs, {widest} units")

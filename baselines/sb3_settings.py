@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+Team = Literal["shared", "independent"] | None
+"""How a team's agents learn: by one network for all, or by one each; None: one agent only."""
 
 
 @dataclass(frozen=True)
@@ -17,6 +21,8 @@ class OnPolicySettings:
     Raises:
         ValueError: a number is out of range.
     """
+
+    team: ClassVar[Team] = None
 
     n_envs: int = 16
     """Copies of the environment that are stepped together."""
@@ -83,6 +89,46 @@ class RecurrentPPOSettings(PPOSettings):
 
 
 @dataclass(frozen=True)
+class SharedPPOSettings(PPOSettings):
+    """Proximal policy optimisation by one network for all agents of a team.
+
+    The network sees an agent's own observations and which agent it is, as a one-hot index, so
+    the agents may still act differently. Each agent's steps count as those of one more copy.
+    """
+
+    team: ClassVar[Team] = "shared"
+
+    n_steps: int = 100
+    """Steps of each copy between two updates."""
+    batch_size: int = 400
+    """Steps of a minibatch; a rollout is a multiple of it for any number of agents."""
+
+
+@dataclass(frozen=True)
+class IndependentPPOSettings(PPOSettings):
+    """Proximal policy optimisation by one network an agent; the others are its environment."""
+
+    team: ClassVar[Team] = "independent"
+
+    n_steps: int = 100
+    """Steps of each copy between two updates."""
+    batch_size: int = 400
+    """Steps of a minibatch; a rollout is a multiple of it for any number of agents."""
+
+
+@dataclass(frozen=True)
+class SharedRecurrentPPOSettings(RecurrentPPOSettings):
+    """Proximal policy optimisation by one recurrent network for all agents of a team."""
+
+    team: ClassVar[Team] = "shared"
+
+    n_steps: int = 100
+    """Steps of each copy between two updates."""
+    batch_size: int = 400
+    """Steps of a minibatch; a rollout is a multiple of it for any number of agents."""
+
+
+@dataclass(frozen=True)
 class DQNSettings:
     """Deep Q-network; its policy is greedy, so on a single observation it may loop for ever.
 
@@ -91,6 +137,8 @@ class DQNSettings:
     Raises:
         ValueError: a number is out of range.
     """
+
+    team: ClassVar[Team] = None
 
     n_envs: int = 8
     """Copies of the environment that are stepped together."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from baselines.evaluation import EnvironmentSpec
+from baselines.environment import EnvironmentSpec
 from baselines.experiment import Entry, Experiment
 from baselines.records import RecordError, Records, RunFiles, parse_json, write_atomic
 

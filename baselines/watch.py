@@ -15,7 +15,8 @@ import numpy as np
 from tqdm import tqdm
 
 from baselines.contenders import load_policy
-from baselines.evaluation import EnvironmentSpec, Policy
+from baselines.environment import EnvironmentSpec
+from baselines.evaluation import Policy
 from baselines.usage import usage_errors
 from baselines.watch_pictures import beside, beside_as_text, write_gif
 from bnprl_envs import registry

@@ -43,7 +43,9 @@ class Agent(abc.ABC):
 
     Observations, actions and rewards carry a leading axis of environments (n_envs,); a scalar
     is a batch of one and comes back as a scalar. For many agents observations and actions are
-    dicts from agent name to such values, as in PettingZoo's parallel environments.
+    dicts from agent name to such values, as in PettingZoo's parallel environments, or arrays
+    (n_envs, N) in the order of the spaces, as in this suite's batches; actions come back in the
+    form of the observations.
 
     Args:
         observation_space: space of one environment's observation, or a dict of them for many

@@ -14,8 +14,9 @@ from bnprl_agents.episodes import BoolArray, FloatArray, IntArray
 class DiscreteSpaces:
     """Translates between what an environment exchanges and arrays of indices.
 
-    A scalar is a batch of one, an array (n,) is a batch of one agent, a dict from agent to either
-    is a team. Indices begin at 0 whatever the spaces' `start`.
+    Of one agent: an array (n,), or a scalar, which is a batch of one. Of a team: a dict from agent
+    to either, as in PettingZoo, or an array (n, N) or (N,) in the order of the agents, as in the
+    batches of `bnprl_envs`. Indices begin at 0 whatever the spaces' `start`.
 
     Args:
         observation_space: a Discrete space, or a dict of them for many agents.
@@ -31,6 +32,7 @@ class DiscreteSpaces:
             raise ValueError("observation_space and action_space: must have the same agents")
         self._observation = _discrete("observation_space", observation_space, self.agents)
         self._action = _discrete("action_space", action_space, self.agents)
+        self._action_starts = np.array([space.start for space in self._action])
         self.observation_sizes = tuple(int(space.n) for space in self._observation)
         self.action_sizes = tuple(int(space.n) for space in self._action)
 
@@ -52,13 +54,13 @@ class DiscreteSpaces:
 
     def external_actions(self, actions: IntArray, like: Any) -> Any:
         """Turn action indices (n, N) into the form (dict, array or scalar) of `like`."""
-        columns = [actions[:, n] + int(space.start) for n, space in enumerate(self._action)]
+        external = actions + self._action_starts
+        if isinstance(like, Mapping):
+            columns = zip(self.agents or (), external.T, strict=True)
+            return {agent: _unbatched(column, like[agent]) for agent, column in columns}
         if self.agents is None:
-            return _unbatched(columns[0], like)
-        return {
-            agent: _unbatched(column, like[agent])
-            for agent, column in zip(self.agents, columns, strict=True)
-        }
+            return _unbatched(external[:, 0], like)
+        return external[0] if np.ndim(like) == 1 else external
 
     def shared(self, name: str, value: Any, dtype: type[Any]) -> Any:
         """Values (n,) that all agents share: reward, terminated or truncated.
@@ -92,16 +94,13 @@ class DiscreteSpaces:
         return flags
 
     def _indices(self, name: str, value: Any, spaces: list[gym.spaces.Discrete]) -> IntArray:
-        columns = [value] if self.agents is None else [value[agent] for agent in self.agents]
-        indices = np.stack(
-            [
-                _integers(name, column) - int(space.start)
-                for column, space in zip(columns, spaces, strict=True)
-            ],
-            axis=1,
-        )
-        sizes = np.array([space.n for space in spaces])
-        outside = (indices < 0) | (indices >= sizes)
+        if self.agents is None:
+            value = np.atleast_1d(np.asarray(value))[:, None]
+        elif isinstance(value, Mapping):
+            value = np.stack([np.atleast_1d(value[agent]) for agent in self.agents], axis=1)
+        starts = np.array([space.start for space in spaces])
+        indices: IntArray = np.atleast_2d(_integers(name, value)) - starts
+        outside = (indices < 0) | (indices >= [space.n for space in spaces])
         if outside.any():
             copy, agent = np.argwhere(outside)[0]
             raise ValueError(
@@ -124,9 +123,9 @@ def _discrete(name: str, space: Any, agents: tuple[str, ...] | None) -> list[gym
     return spaces
 
 
-def _integers(name: str, column: Any) -> IntArray:
-    """Whole numbers (n,); floating-point ones pass where nothing is lost."""
-    values = np.atleast_1d(np.asarray(column))
+def _integers(name: str, value: Any) -> IntArray:
+    """Whole numbers; floating-point ones pass where nothing is lost."""
+    values = np.asarray(value)
     if values.dtype.kind in "iub":
         return values.astype(np.int64)
     if values.dtype.kind != "f":

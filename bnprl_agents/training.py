@@ -51,8 +51,8 @@ def train(
 
     Args:
         agent: learns in place.
-        env: a vector environment whose autoreset is disabled; for `ControllerSearch` a PettingZoo
-            parallel environment will do.
+        env: a vector environment whose autoreset is disabled; of a team, a batch that exchanges
+            arrays (n_envs, N). For `ControllerSearch` a PettingZoo parallel environment will do.
         seed: of the environment.
         episodes: budget of finished episodes.
         steps: budget of environment steps over all copies, never exceeded: the last update

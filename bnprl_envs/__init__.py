@@ -16,6 +16,7 @@ from bnprl_envs.tabular import TabularEnv
 if TYPE_CHECKING:
     from bnprl_envs.grid_traffic import GridTraffic, GridTrafficBatch, longer_queue
     from bnprl_envs.inverted_pendulum import InvertedPendulumEnv, InvertedPendulumVectorEnv
+    from bnprl_envs.parallel_batch import ParallelBatch
     from bnprl_envs.puddle_world import PuddleWorldEnv, PuddleWorldVectorEnv
     from bnprl_envs.tabular_parallel import TabularParallelBatch, TabularParallelEnv
     from bnprl_envs.tabular_vector import TabularVectorEnv
@@ -27,6 +28,7 @@ __all__ = [
     "InvertedPendulumVectorEnv",
     "ModelFileError",
     "Names",
+    "ParallelBatch",
     "PuddleWorldEnv",
     "PuddleWorldVectorEnv",
     "TabularEnv",
@@ -47,6 +49,7 @@ _LAZY = {  # name -> module, imported on request: numba takes longer than all th
     "GridTrafficBatch": "grid_traffic",
     "InvertedPendulumEnv": "inverted_pendulum",
     "InvertedPendulumVectorEnv": "inverted_pendulum",
+    "ParallelBatch": "parallel_batch",
     "PuddleWorldEnv": "puddle_world",
     "PuddleWorldVectorEnv": "puddle_world",
     "TabularParallelBatch": "tabular_parallel",

@@ -20,7 +20,7 @@ from bnprl_envs.arguments import (
     checked_probability,
 )
 from bnprl_envs.tables import BoolArray
-from bnprl_envs.team import BatchStep, IntArray, checked_team_actions
+from bnprl_envs.team import BatchStep, IntArray, agent_names, checked_team_actions
 
 HORIZONTAL, VERTICAL = range(2)
 
@@ -49,6 +49,7 @@ class GridTrafficBatch(VectorEnv[IntArray, IntArray, Any]):
         max_episode_steps: the limit.
         num_envs: the number of copies.
         n_agents: rows times columns.
+        possible_agents: the agents' names, in the order of the columns.
 
     Raises:
         ValueError: an argument is out of range.
@@ -82,6 +83,7 @@ class GridTrafficBatch(VectorEnv[IntArray, IntArray, Any]):
         self.discount = checked_discount(discount)
         self.max_episode_steps = checked_limit(max_episode_steps)
         self.n_agents = rows * columns
+        self.possible_agents = agent_names(self.n_agents)
         self._sizes = np.full(self.n_agents, 2)
         self.single_action_space = MultiDiscrete(self._sizes)
         self.single_observation_space = MultiDiscrete(np.full(self.n_agents, (capacity + 1) ** 2))

@@ -174,6 +174,7 @@ _ENTRIES = (
         id="bnprl/GridTraffic-v0",
         summary="a hundred traffic lights must agree on a direction without speaking",
         factory="bnprl_envs.grid_traffic:GridTraffic",
+        vector_factory="bnprl_envs.grid_traffic_batch:GridTrafficBatch",
         horizon=100,
         discount=0.9,
         kind="parallel-class",

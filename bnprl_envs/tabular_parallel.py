@@ -22,7 +22,14 @@ from bnprl_envs.arguments import checked_count
 from bnprl_envs.model import Names, TabularModel
 from bnprl_envs.rendering.scene import Moment, Scene
 from bnprl_envs.tabular import TabularEnv, model_scene, resolved_model, tabular_moment
-from bnprl_envs.team import BatchStep, IntArray, TeamEnv, checked_team_actions, cycle_limit
+from bnprl_envs.team import (
+    BatchStep,
+    IntArray,
+    TeamEnv,
+    agent_names,
+    checked_team_actions,
+    cycle_limit,
+)
 
 
 class TabularParallelEnv(TeamEnv):
@@ -121,6 +128,7 @@ class TabularParallelBatch(VectorEnv[IntArray, IntArray, Any]):
         discount: the model's, in (0, 1].
         max_episode_steps: the limit.
         num_envs: the number of copies.
+        possible_agents: the agents' names, in the order of the columns.
 
     Raises:
         ValueError: the model may start in a terminal state, or an argument is out of range.
@@ -152,6 +160,7 @@ class TabularParallelBatch(VectorEnv[IntArray, IntArray, Any]):
             render_mode=render_mode,
         )
         self.num_envs = copies
+        self.possible_agents = agent_names(self.model.n_agents)
         self.discount = self.model.discount
         self.max_episode_steps = max_episode_steps
         self.single_action_space = MultiDiscrete(list(self.model.action_sizes))

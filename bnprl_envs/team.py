@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from operator import ge, index
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from gymnasium.error import ResetNeeded
-from gymnasium.spaces import Discrete
+from gymnasium.spaces import Discrete, MultiDiscrete
+from gymnasium.vector import VectorEnv
 from pettingzoo import ParallelEnv
 
 from bnprl_envs.arguments import checked_limit
@@ -55,7 +56,7 @@ class TeamEnv(Rendered, ParallelEnv):  # type: ignore[misc]  # PettingZoo has no
         self._set_render_mode(render_mode)
         self.metadata = type(self).metadata | {"name": name or type(self).__name__}
         self.discount = discount
-        self.possible_agents = [f"agent_{n}" for n in range(len(action_sizes))]
+        self.possible_agents = agent_names(len(action_sizes))
         self.agents: list[str] = []
         self.action_spaces = {
             agent: Discrete(size)
@@ -173,6 +174,45 @@ def cycle_limit(max_episode_steps: int | None, max_cycles: int | None) -> int | 
     """
     cycles, steps = checked_limit(max_cycles, "max_cycles"), checked_limit(max_episode_steps)
     return cycles if steps is None else steps
+
+
+def agent_names(n_agents: int) -> list[str]:
+    """Return "agent_0", "agent_1", ..."""
+    return [f"agent_{n}" for n in range(n_agents)]
+
+
+def agent_spaces(env: VectorEnv[Any, Any, Any]) -> tuple[Any, Any]:
+    """Return the observation and action spaces that an agent is made for.
+
+    Args:
+        env: a batch of one agent, or of a team: it has `possible_agents` and exchanges arrays
+            (copies, agents) of MultiDiscrete spaces.
+
+    Returns:
+        The single observation and action spaces; of a team, dicts of them by agent.
+    """
+    agents = getattr(env, "possible_agents", None)
+    if agents is None:
+        return env.single_observation_space, env.single_action_space
+    spaces: list[Any] = [env.single_observation_space, env.single_action_space]
+    observation, action = (
+        {
+            agent: Discrete(size, start=start)
+            for agent, size, start in zip(
+                agents, space.nvec.tolist(), space.start.tolist(), strict=True
+            )
+        }
+        for space in spaces
+    )
+    return observation, action
+
+
+def joint_space(spaces: Iterable[Discrete]) -> MultiDiscrete[np.int64]:
+    """Return all agents' spaces as that of one array (N,)."""
+    parts = list(spaces)
+    return MultiDiscrete(
+        [int(space.n) for space in parts], start=[int(space.start) for space in parts]
+    )
 
 
 def checked_team_actions(

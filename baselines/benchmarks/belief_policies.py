@@ -17,7 +17,8 @@ import numpy as np
 from tqdm import tqdm
 
 from baselines.contenders import build_learner, contender
-from baselines.evaluation import EnvironmentSpec, evaluate
+from baselines.environment import EnvironmentSpec
+from baselines.evaluation import evaluate
 
 NAME = "predictive-actor-critic"
 EVALUATION_EPISODES = 4_000

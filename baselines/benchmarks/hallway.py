@@ -15,7 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from baselines.contenders import build_learner, contender
-from baselines.evaluation import EnvironmentSpec, evaluate
+from baselines.environment import EnvironmentSpec
+from baselines.evaluation import evaluate
 
 HALLWAY = EnvironmentSpec("bnprl/Hallway-v0")
 WANTED = {"online-em": 0.30, "batch-em": 0.36}

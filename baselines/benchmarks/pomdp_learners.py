@@ -18,7 +18,7 @@ import numpy as np
 from tqdm import tqdm
 
 from baselines.contenders import AgentLearner, build_learner, contender
-from baselines.evaluation import EnvironmentSpec
+from baselines.environment import EnvironmentSpec
 from bnprl_agents.controllers.learner import ControllerAgent
 from bnprl_agents.controllers.value import controller_value
 from bnprl_envs import model

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from baselines.contenders import CONTENDERS, Contender
-from baselines.evaluation import EnvironmentSpec, Evaluation
+from baselines.environment import EnvironmentSpec
+from baselines.evaluation import Evaluation
 from baselines.experiment import Entry, Experiment
 from baselines.records import Record
 from bnprl_agents.training import Progress

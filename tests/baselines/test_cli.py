@@ -18,22 +18,10 @@ from baselines.experiment import Entry
 from baselines.records import RunFiles, folder_lock, read_records
 from baselines.study import open_study
 from tests.baselines.fakes import experiment
+from tests.baselines.interruption import ROOT, command, finish, kill_after, lines, summary
 
-ROOT = Path(__file__).parents[2]
 HALLWAY = "bnprl/Hallway-v0"
 SMALL = ["--episodes", "200", "--eval-episodes", "50", "--eval-points", "2", "--no-progress"]
-
-
-def command(*arguments: str, **options: Any) -> subprocess.Popen[str]:
-    """Start the command in a process of its own."""
-    return subprocess.Popen(
-        [sys.executable, "-m", "baselines.cli", *arguments],
-        cwd=ROOT,
-        text=True,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        **options,
-    )
 
 
 def refused(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
@@ -156,7 +144,7 @@ EM = ["compare", HALLWAY, "--agents", "online-em", *SMALL]
         ),
         (["compare", "Hallway", "--agents", "random", *SMALL], "did you mean bnprl/Hallway-v0"),
         (["compare", "bnprl/DecTiger-v0", "--agents", "ppo", *SMALL], "has several agents"),
-        (["train", "bnprl/GridTraffic-v0", "--agent", "random", *SMALL], "has several agents"),
+        (["train", HALLWAY, "--agent", "ppo-shared", *SMALL], "has one agent; ppo"),
         (["train", "no/such.POMDP", "--agent", "random", *SMALL], "no such model file"),
         (["train", HALLWAY, "--agent", "onlin-em", *SMALL], "did you mean online-em"),
         (["compare", HALLWAY, "--agents", "random", "pppo", *SMALL], "did you mean ppo"),
@@ -267,20 +255,6 @@ COMPARE = ["compare", HALLWAY, "--agents", "online-em", "batch-em", "random", "-
 BUDGET = ["--episodes", "600", "--eval-episodes", "100", "--eval-points", "6", "--no-progress"]
 
 
-def summary(out: Path) -> dict[str, Any]:
-    """The summary without wall-clock."""
-    found: dict[str, Any] = json.loads((out / "summary.json").read_bytes())
-    for row in found["rows"]:
-        del row["train_seconds"]
-    return found
-
-
-def lines(out: Path) -> dict[str, int]:
-    """Complete lines of each run so far."""
-    found = sorted((out / "runs").glob("*/*.jsonl"))
-    return {str(path.relative_to(out)): len(read_records(path).lines) for path in found}
-
-
 @pytest.fixture(scope="module")
 def uninterrupted(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     out = tmp_path_factory.mktemp("whole") / "out"
@@ -294,19 +268,10 @@ def test_a_killed_comparison_resumes_to_the_same_summary(
 ) -> None:
     out = tmp_path / "out"
     arguments = [*COMPARE, *BUDGET, "--jobs", jobs, "--out", str(out)]
-    process = command(*arguments)
-    deadline = time.monotonic() + 60
-    while sum(lines(out).values()) < 8 and time.monotonic() < deadline:
-        time.sleep(0.01)
-    process.kill()
-    process.communicate()
-    assert process.returncode == -signal.SIGKILL
-    assert 8 <= sum(lines(out).values()) < 30
+    assert 8 <= kill_after(arguments, out, 8, timeout=120) < 30
     finished = [path for path in out.glob("runs/*/*.jsonl") if read_records(path).finished]
     stamps = {path: path.stat().st_mtime_ns for path in finished}
-    again = command(*arguments)
-    shown = again.communicate(timeout=90)
-    assert again.returncode == 0, shown
+    finish(arguments, timeout=300)
     assert summary(out) == uninterrupted
     assert {path: path.stat().st_mtime_ns for path in finished} == stamps
     assert len(lines(out)) == 6

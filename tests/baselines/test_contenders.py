@@ -17,7 +17,8 @@ from baselines.contenders import (
     contender,
     load_policy,
 )
-from baselines.evaluation import EnvironmentSpec, evaluate
+from baselines.environment import EnvironmentSpec
+from baselines.evaluation import evaluate
 from bnprl_agents.policy_files import PolicyFileError
 
 HALLWAY = EnvironmentSpec("bnprl/Hallway-v0", {"max_episode_steps": 15})
@@ -29,7 +30,16 @@ SMALL: dict[str, dict[str, Any]] = {
     "ppo": {"n_envs": 4, "n_steps": 32, "batch_size": 64},
     "a2c": {"n_envs": 4},
     "recurrent-ppo": {"n_envs": 4, "n_steps": 32, "batch_size": 64, "lstm_units": 8},
+    "ppo-shared": {"n_envs": 4, "n_steps": 32, "batch_size": 64},
+    "ppo-independent": {"n_envs": 4, "n_steps": 32, "batch_size": 64},
+    "recurrent-ppo-shared": {"n_envs": 4, "n_steps": 32, "batch_size": 64, "lstm_units": 8},
 }
+TEAM = EnvironmentSpec("bnprl/BroadcastChannel-v0", {"max_episode_steps": 15})
+TEAM_ONLY = ("ppo-shared", "ppo-independent", "recurrent-ppo-shared")
+SERVED = [
+    *((name, place) for name in CONTENDERS if name not in TEAM_ONLY for place in (HALLWAY, LAKE)),
+    *((name, TEAM) for name in ("online-em", "batch-em", "random", *TEAM_ONLY)),
+]
 names = pytest.mark.parametrize("name", CONTENDERS)
 
 
@@ -49,8 +59,7 @@ def test_contender_is_complete(name: str) -> None:
     assert settings == type(settings)()
 
 
-@names
-@pytest.mark.parametrize("environment", [HALLWAY, LAKE], ids=["tabular", "gymnasium"])
+@pytest.mark.parametrize(("name", "environment"), SERVED, ids=lambda x: getattr(x, "id", x))
 def test_learns_evaluates_saves_and_loads(
     name: str, environment: EnvironmentSpec, tmp_path: Any
 ) -> None:

@@ -13,7 +13,8 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 from baselines import evaluation
-from baselines.evaluation import EnvironmentSpec, evaluate
+from baselines.environment import EnvironmentSpec
+from baselines.evaluation import evaluate
 from bnprl_agents.controllers.em import BatchEM, BatchEMConfig
 from bnprl_agents.controllers.value import controller_value
 from bnprl_agents.random_agent import RandomAgent

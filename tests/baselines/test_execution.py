@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from baselines.contenders import MissingExtraError
-from baselines.evaluation import EnvironmentSpec
+from baselines.environment import EnvironmentSpec
 from baselines.execution import execute
 from baselines.experiment import Entry, Experiment, configured_entries
 from baselines.records import RecordError, RunFiles

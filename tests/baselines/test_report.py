@@ -9,7 +9,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from baselines.curves import _on_one_grid, draw_curves
-from baselines.evaluation import EnvironmentSpec
+from baselines.environment import EnvironmentSpec
 from baselines.experiment import Entry, Experiment
 from baselines.records import RecordError, RunFiles, open_log, parse_json
 from baselines.report import summarise, write_report

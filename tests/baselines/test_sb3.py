@@ -14,7 +14,8 @@ from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import VecCheckNan
 
-from baselines.evaluation import EnvironmentSpec, evaluate
+from baselines.environment import EnvironmentSpec
+from baselines.evaluation import evaluate
 from baselines.sb3 import SB3Learner, load_sb3_policy
 from baselines.sb3_settings import A2CSettings, DQNSettings, PPOSettings, RecurrentPPOSettings
 from baselines.sb3_vec_env import Encoder, SB3VecEnv
@@ -70,7 +71,7 @@ def adapter(frame_stack: int, copies: int = 2) -> SB3VecEnv:
 
 
 def weights(learner: SB3Learner) -> dict[str, Any]:
-    return {name: w.numpy().copy() for name, w in learner.policy.networks.state_dict().items()}
+    return {name: w.numpy().copy() for name, w in learner.policy.networks[0].state_dict().items()}
 
 
 def test_adapter_stacks_reports_ends_and_begins_anew() -> None:
@@ -189,7 +190,7 @@ def test_epsilon_falls_over_the_whole_budget(budget: dict[str, int]) -> None:
             else progress.episodes / budget["episodes"]
         )
         wanted = max(0.1, 1.0 - 0.9 * spent / 0.5)
-        assert learner._model.exploration_rate == pytest.approx(wanted)
+        assert learner._models[0].exploration_rate == pytest.approx(wanted)
         seen += 0.2 < wanted < 0.8
     assert seen >= 2
 
@@ -237,7 +238,7 @@ def test_saved_policy_predicts_what_the_learned_one_does(settings: Any, tmp_path
     loaded = load_sb3_policy(tmp_path / "policy.npz")
     assert [path.name for path in tmp_path.iterdir()] == ["policy.npz"]
     kept = weights(learner)
-    assert all((kept[k] == w.numpy()).all() for k, w in loaded.networks.state_dict().items())
+    assert all((kept[k] == w.numpy()).all() for k, w in loaded.networks[0].state_dict().items())
     ours = evaluate(learner.policy, CORRIDOR, episodes=30, seed=5)
     theirs = evaluate(loaded, CORRIDOR, episodes=30, seed=5)
     assert (ours.returns == theirs.returns).all()
@@ -264,7 +265,7 @@ def test_damaged_policy_files_are_refused(tmp_path: Any) -> None:
             load_sb3_policy(path)
     meta = json.loads(arrays["meta"].tobytes())
     for change in (
-        {"algorithm": "TRPO"},
+        {"settings_type": "TRPOSettings"},
         {"format": "else"},
         {"settings": {"units": 3}},
         {"settings": {"hidden_units": 10**6}},
@@ -288,8 +289,8 @@ def test_predict_begins_anew_copy_by_copy(settings: Any) -> None:
     _, state = policy.predict(np.array([0, 0]), None, None, deterministic=True)
     _, state = policy.predict(np.array([1, 1]), state, np.zeros(2, bool), deterministic=True)
     start = np.array([True, False])
-    _, (stack, memory) = policy.predict(np.array([0, 2]), state, start, deterministic=True)
-    _, (fresh, fresh_memory) = policy.predict(np.array([0]), None, None, deterministic=True)
+    _, (stack, (memory,)) = policy.predict(np.array([0, 2]), state, start, deterministic=True)
+    _, (fresh, (fresh_memory,)) = policy.predict(np.array([0]), None, None, deterministic=True)
     assert (stack[0] == fresh[0]).all()
     if settings.frame_stack == 2:
         assert stack.tolist() == [one_hot(None, 0), one_hot(1, 2)]
@@ -313,7 +314,7 @@ def test_stable_baselines_own_checks_and_evaluation_agree() -> None:
         pass
     env = VecCheckNan(adapter(frame_stack=2, copies=4), raise_exception=True)
     theirs, lengths = evaluate_policy(
-        learner._model, env, n_eval_episodes=20, deterministic=True, return_episode_rewards=True
+        learner._models[0], env, n_eval_episodes=20, deterministic=True, return_episode_rewards=True
     )
     ours = evaluate(
         learner.policy,

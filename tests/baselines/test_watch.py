@@ -12,7 +12,7 @@ from PIL import Image, ImageSequence
 
 import bnprl_envs
 from baselines.cli import main
-from baselines.evaluation import EnvironmentSpec
+from baselines.environment import EnvironmentSpec
 from baselines.watch import make_env
 from baselines.watch_pictures import beside, beside_as_text
 from bnprl_agents.random_agent import RandomAgent
