@@ -13,6 +13,7 @@ from bnprl_agents.controllers.online_em import OnlineEM, OnlineEMConfig
 from bnprl_agents.controllers.rollout import rollout
 from bnprl_agents.controllers.scoring import simulated_returns
 from bnprl_agents.controllers.value import controller_value
+from bnprl_agents.controllers.variational import VariationalBayes, VariationalBayesConfig
 from bnprl_agents.episodes import EpisodeBatch
 from bnprl_agents.policy_files import PolicyFileError
 from bnprl_agents.random_agent import RandomAgent, RandomConfig
@@ -35,6 +36,8 @@ __all__ = [
     "Progress",
     "RandomAgent",
     "RandomConfig",
+    "VariationalBayes",
+    "VariationalBayesConfig",
     "controller_value",
     "load",
     "random_controller",
