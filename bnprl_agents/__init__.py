@@ -12,6 +12,7 @@ from bnprl_agents.controllers.messages import Counts, soft_counts
 from bnprl_agents.controllers.online_em import OnlineEM, OnlineEMConfig
 from bnprl_agents.controllers.rollout import rollout
 from bnprl_agents.controllers.scoring import simulated_returns
+from bnprl_agents.controllers.stick_breaking import StickBreaking, StickBreakingConfig
 from bnprl_agents.controllers.value import controller_value
 from bnprl_agents.controllers.variational import VariationalBayes, VariationalBayesConfig
 from bnprl_agents.episodes import EpisodeBatch
@@ -36,6 +37,8 @@ __all__ = [
     "Progress",
     "RandomAgent",
     "RandomConfig",
+    "StickBreaking",
+    "StickBreakingConfig",
     "VariationalBayes",
     "VariationalBayesConfig",
     "controller_value",

@@ -38,8 +38,13 @@ class DirichletPrior:
         self.nodes, self.actions = nodes, actions
 
     def around(self, controller: Controller) -> Posterior:
-        """Prior parameters plus the controller's rows: one imagined visit of every row."""
-        return self.update(Counts(**vars(controller)), None)
+        """Prior parameters plus the controller's rows, as from one visit of every entry."""
+        visits = Counts(
+            controller.n_nodes * controller.initial,
+            controller.n_actions * controller.action,
+            controller.n_nodes * controller.successor,
+        )
+        return self.update(visits, None)
 
     def update(self, counts: Counts, old: Posterior | None) -> Posterior:
         """Return prior + counts; a row without evidence is its prior."""

@@ -12,6 +12,7 @@ from bnprl_agents.controllers.actor_critic import ActorCritic, ActorCriticConfig
 from bnprl_agents.controllers.em import BatchEM, BatchEMConfig
 from bnprl_agents.controllers.learner import NegativeRewardError
 from bnprl_agents.controllers.online_em import OnlineEM, OnlineEMConfig
+from bnprl_agents.controllers.stick_breaking import StickBreaking
 from bnprl_agents.controllers.variational import VariationalBayes
 from bnprl_agents.policy_files import PolicyFileError
 from bnprl_agents.random_agent import RandomAgent
