@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bnprl_agents.controllers.messages import reward_weights
+from bnprl_agents.controllers.messages import reward_weights, running_sum
 from bnprl_agents.episodes import EpisodeBatch, FloatArray
 
 
@@ -57,8 +57,10 @@ def by_return(
     """Whole episodes in proportion to exp(temperature x standardised return), on-policy.
 
     Rewards of any sign serve and a constant added to them changes nothing, so that no shift
-    drowns the signal. The weights do not depend on the parameters: this is a weighted likelihood
-    of the episodes as they were acted, exploration included, not the empirical value (2.45).
+    drowns the signal. An episode's weight is spread over its steps as gamma^t, so that what it
+    did early counts as much as it mattered to the return. The weights do not depend on the
+    parameters: this is a weighted likelihood of the episodes as they were acted, exploration
+    included, not the empirical value (2.45).
 
     Args:
         episodes: K episodes.
@@ -66,15 +68,16 @@ def by_return(
         discount: of the returns, in (0, 1].
         temperature: larger values look at the best episodes only.
     """
-    shares, returns = np.zeros(episodes.n_steps), episodes.returns(discount)
+    returns = episodes.returns(discount)
     spread = returns.std()
     if spread <= 1e-12 * np.abs(returns).max():
-        return Evidence(shares, -np.inf, -np.inf)
+        return Evidence(np.zeros(episodes.n_steps), -np.inf, -np.inf)
     weights = np.exp(temperature * (returns - returns.max()) / spread)
     weights /= weights.sum()
-    shares[episodes.offsets[1:] - 1] = weights
+    fading = discount ** episodes.steps_into_episode()
+    fading /= np.repeat(np.add.reduceat(fading, episodes.offsets[:-1]), episodes.lengths)
+    shares = np.repeat(weights, episodes.lengths) * fading
     with np.errstate(divide="ignore"):
-        log_likelihood = sum(np.log(c) for c in likelihoods)
-    of_episode = np.add.reduceat(log_likelihood, episodes.offsets[:-1])
-    fit = float(np.sum(weights * of_episode, where=weights > 0.0))
-    return Evidence(shares, 0.0, fit)
+        log_steps = sum(np.log(c) for c in likelihoods)
+    log_so_far = running_sum(episodes.offsets, log_steps)
+    return Evidence(shares, 0.0, float(np.sum(shares * log_so_far, where=shares > 0.0)))

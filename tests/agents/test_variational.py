@@ -169,7 +169,7 @@ def test_evidence_of_one_episode_is_drowned_by_the_prior():
     assert trained_value("batch", evidence_scale=1.0) == pytest.approx(5.0, abs=0.1)
 
 
-def test_weights_by_return_ignore_shifts_and_use_the_last_step():
+def test_weights_by_return_ignore_shifts_and_fade_with_the_discount():
     rng = np.random.default_rng(6)
     episodes = random_episodes(rng, (3, 3, 3), (2,), (4,))
     (controller,) = random_team(rng, (2,), (2,), (4,))
@@ -177,10 +177,11 @@ def test_weights_by_return_ignore_shifts_and_use_the_last_step():
     found = by_return(episodes, likelihood, DISCOUNT, 2.0)
     returns = episodes.returns(DISCOUNT)
     wanted = np.exp(2.0 * (returns - returns.mean()) / returns.std())
-    np.testing.assert_allclose(found.shares[[2, 5, 8]], wanted / wanted.sum())
-    assert found.shares.sum() == pytest.approx(1.0)
-    log_likelihood = np.log(likelihood[0]).reshape(3, 3).sum(axis=1)
-    assert found.fit == pytest.approx(log_likelihood @ wanted / wanted.sum())
+    fading = np.array([1.0, DISCOUNT, DISCOUNT**2])
+    shares = np.outer(wanted / wanted.sum(), fading / fading.sum())
+    np.testing.assert_allclose(found.shares, shares.ravel())
+    log_so_far = np.log(likelihood[0]).reshape(3, 3).cumsum(axis=1)
+    assert found.fit == pytest.approx(np.sum(shares * log_so_far))
     episodes.rewards[:] -= 7.0
     shifted = by_return(episodes, likelihood, DISCOUNT, 2.0)
     np.testing.assert_allclose(shifted.shares, found.shares)
