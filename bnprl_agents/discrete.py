@@ -15,7 +15,7 @@ class DiscreteSpaces:
     """Translates between what an environment exchanges and arrays of indices.
 
     A scalar is a batch of one, an array (n,) is a batch of one agent, a dict from agent to either
-    is a team. Indices begin at 0 whatever the spaces' `start`.
+    is a team, and so is an array (n, N). Indices begin at 0 whatever the spaces' `start`.
 
     Args:
         observation_space: a Discrete space, or a dict of them for many agents.
@@ -55,6 +55,8 @@ class DiscreteSpaces:
         columns = [actions[:, n] + int(space.start) for n, space in enumerate(self._action)]
         if self.agents is None:
             return _unbatched(columns[0], like)
+        if not isinstance(like, Mapping):
+            return np.stack(columns, axis=1)
         return {
             agent: _unbatched(column, like[agent])
             for agent, column in zip(self.agents, columns, strict=True)
@@ -91,12 +93,24 @@ class DiscreteSpaces:
         flags: BoolArray = self.shared(name, value, np.bool_)
         return flags
 
+    def _columns(self, name: str, value: Any) -> list[Any]:
+        """Each agent's values."""
+        if self.agents is None:
+            return [value]
+        if isinstance(value, Mapping):
+            return [value[agent] for agent in self.agents]
+        rows = np.asarray(value)
+        if rows.ndim != 2 or rows.shape[1] != len(self.agents):
+            raise ValueError(
+                f"{name}: shape {rows.shape}, must be a dict or an array (n, {len(self.agents)})"
+            )
+        return list(rows.T)
+
     def _indices(self, name: str, value: Any, spaces: list[gym.spaces.Discrete]) -> IntArray:
-        columns = [value] if self.agents is None else [value[agent] for agent in self.agents]
         indices = np.stack(
             [
                 _integers(name, column) - int(space.start)
-                for column, space in zip(columns, spaces, strict=True)
+                for column, space in zip(self._columns(name, value), spaces, strict=True)
             ],
             axis=1,
         )
@@ -109,6 +123,11 @@ class DiscreteSpaces:
                 f"outside {spaces[agent]}"
             )
         return indices
+
+
+def team_spaces(space: gym.spaces.MultiDiscrete) -> dict[str, gym.spaces.Discrete]:
+    """Return the spaces of agent_0, agent_1, ... one column each of a batch of teams."""
+    return {f"agent_{n}": gym.spaces.Discrete(int(size)) for n, size in enumerate(space.nvec)}
 
 
 def _is_team(space: Any) -> bool:

@@ -47,7 +47,8 @@ def train(
 
     Args:
         agent: learns in place.
-        env: a vector environment whose autoreset is disabled.
+        env: a vector environment whose autoreset is disabled, or a batch of teams with that
+            interface, whose observations and actions are arrays (n, N).
         seed: of the environment.
         episodes: budget of finished episodes.
         steps: budget of environment steps over all copies, never exceeded: the last update

@@ -139,10 +139,10 @@ def test_the_bound_never_falls_on_the_same_episodes(reading, weighting, scale):
 def test_it_does_not_collapse_where_memory_pays(reading, schedule):
     model, rng = copying_model(), np.random.default_rng(6)
     agent = learner(COPYING, nodes=6, batch_episodes=100, schedule=schedule, hyper_reading=reading)
-    for _ in range(40):
+    for _ in range(100):
         metrics = agent.learn(
             rollout(
-                model, agent.controllers, episodes=100, horizon=50, rng=rng, explore=agent.explore
+                model, agent.controllers, episodes=100, horizon=20, rng=rng, explore=agent.explore
             )
         )
     assert metrics["nodes"] >= 2
