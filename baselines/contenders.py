@@ -110,6 +110,18 @@ CONTENDERS: dict[str, Contender] = {
             "policies on the belief of a hidden Markov model, learned together",
         ),
         _agent(
+            "infinite-rpr",
+            "bnprl_agents.controllers.infinite:InfiniteRPR",
+            "InfiniteRPRConfig",
+            "finite-state controllers whose nodes are born and dropped under an HDP (iRPR)",
+        ),
+        _agent(
+            "mcem",
+            "bnprl_agents.controllers.mcem:MonteCarloEM",
+            "MonteCarloEMConfig",
+            "finite-state controllers by Monte-Carlo EM on sampled nodes",
+        ),
+        _agent(
             "random",
             "bnprl_agents.random_agent:RandomAgent",
             "RandomConfig",

@@ -8,6 +8,8 @@ from bnprl_agents.belief.predictive_actor_critic import (
 from bnprl_agents.controllers.actor_critic import ActorCritic, ActorCriticConfig
 from bnprl_agents.controllers.controller import Controller, random_controller
 from bnprl_agents.controllers.em import BatchEM, BatchEMConfig
+from bnprl_agents.controllers.infinite import InfiniteRPR, InfiniteRPRConfig
+from bnprl_agents.controllers.mcem import MonteCarloEM, MonteCarloEMConfig
 from bnprl_agents.controllers.messages import Counts, soft_counts
 from bnprl_agents.controllers.online_em import OnlineEM, OnlineEMConfig
 from bnprl_agents.controllers.rollout import rollout
@@ -29,6 +31,10 @@ __all__ = [
     "Controller",
     "Counts",
     "EpisodeBatch",
+    "InfiniteRPR",
+    "InfiniteRPRConfig",
+    "MonteCarloEM",
+    "MonteCarloEMConfig",
     "OnlineEM",
     "OnlineEMConfig",
     "PolicyFileError",

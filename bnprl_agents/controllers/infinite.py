@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -191,7 +191,7 @@ class InfiniteRPRConfig(BayesianConfig):
     """New episodes between two updates; the source updates after each."""
     outer_iterations: int = 2
     """Sweeps of the hybrid sampler an update."""
-    schedule: Any = "batch"
+    schedule: Literal["batch", "online"] = "batch"
     """batch: all episodes so far are kept and swept over, as in the source. online: running means
     of the statistics, and only the newest episodes are kept (the dissertation's future work)."""
     node_share: float = 0.002

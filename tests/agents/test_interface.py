@@ -10,7 +10,9 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from bnprl_agents.agent import load
 from bnprl_agents.controllers.actor_critic import ActorCritic, ActorCriticConfig
 from bnprl_agents.controllers.em import BatchEM, BatchEMConfig
+from bnprl_agents.controllers.infinite import InfiniteRPR
 from bnprl_agents.controllers.learner import NegativeRewardError
+from bnprl_agents.controllers.mcem import MonteCarloEM
 from bnprl_agents.controllers.online_em import OnlineEM, OnlineEMConfig
 from bnprl_agents.controllers.stick_breaking import StickBreaking
 from bnprl_agents.controllers.variational import VariationalBayes
