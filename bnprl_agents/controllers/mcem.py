@@ -121,7 +121,8 @@ def rewards_from(episodes: EpisodeBatch, discount: float) -> FloatArray:
     earned = episodes.rewards * discount ** episodes.steps_into_episode()
     ahead = np.cumsum(earned)
     whole = np.repeat(ahead[episodes.offsets[1:] - 1], episodes.lengths)
-    return np.maximum(whole - ahead + earned, 0.0)
+    following: FloatArray = np.maximum(whole - ahead + earned, 0.0)
+    return following
 
 
 def last_possible(episodes: EpisodeBatch, likelihood: FloatArray) -> IntArray:
@@ -130,7 +131,8 @@ def last_possible(episodes: EpisodeBatch, likelihood: FloatArray) -> IntArray:
     From that one on the likelihood is 0.
     """
     possible = np.add.reduceat(likelihood > 0.0, episodes.offsets[:-1], dtype=np.int64)
-    return episodes.offsets[:-1] + possible - 1
+    rows: IntArray = episodes.offsets[:-1] + possible - 1
+    return rows
 
 
 def confidence_width(visits: FloatArray, confidence: float) -> FloatArray:

@@ -23,6 +23,18 @@ from bnprl_envs.model import TabularModel
 from bnprl_envs.tabular_vector import TabularVectorEnv
 
 SPACES = gym.spaces.Discrete(3), gym.spaces.Discrete(2)
+every_agent = pytest.mark.parametrize(
+    "agent_class",
+    [
+        RandomAgent,
+        BatchEM,
+        OnlineEM,
+        VariationalBayes,
+        StickBreaking,
+        InfiniteRPR,
+        MonteCarloEM,
+    ],
+)
 
 
 class Corridor(gym.Env):
