@@ -185,16 +185,22 @@ class InfiniteRPRConfig(BayesianConfig):
 
     nodes: int = 30
     """Room for nodes: as many can be in use at once; memory and time are bounded by it."""
-    initial_nodes: int = 5
+    initial_nodes: int = 12
     """Nodes in use at first."""
-    batch_episodes: int = 10
+    successor_concentration: float = 0.1
+    """Of the Dirichlet from which the first successor rows are drawn. At 1 (uniform) nodes average
+    the memory of an observation away and are dropped before they are told apart."""
+    batch_episodes: int = 20
     """New episodes between two updates; the source updates after each."""
-    outer_iterations: int = 2
+    outer_iterations: int = 5
     """Sweeps of the hybrid sampler an update."""
+    exploration_prior: float = 50.0
+    """u1 of the Beta distribution from which a node's exploitation is drawn; larger explores. The
+    source's 2 stops exploring within a hundred episodes here, where u0 counts every visit."""
     schedule: Literal["batch", "online"] = "batch"
     """batch: all episodes so far are kept and swept over, as in the source. online: running means
     of the statistics, and only the newest episodes are kept (the dissertation's future work)."""
-    node_share: float = 0.002
+    node_share: float = 0.0002
     """A node is occupied where its part of the sampled, reward-weighted visits exceeds this."""
 
     def __post_init__(self) -> None:

@@ -81,7 +81,7 @@ class NestedEMConfig:
     """reward: every reward by its importance ratio, the empirical value (2.45). return: whole
     on-policy episodes by exp(temperature x standardised return), which needs no shift; not in the
     source, for rewards of both signs, where a shift drowns the signal."""
-    temperature: float = 5.0
+    temperature: float = 1.0
     """Of the weighting by return; larger values look at the best episodes only."""
 
     def __post_init__(self) -> None:

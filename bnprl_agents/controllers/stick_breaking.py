@@ -101,13 +101,27 @@ class StickBreakingPrior:
 class StickBreakingConfig(BayesianConfig):
     """Settings of `StickBreaking`. The source leaves K, iterations and u1 open.
 
+    The defaults weigh whole episodes by their returns, since a shift that makes the rewards of
+    the decentralised benchmarks positive drowns the signal; weighting="reward" is Algorithm 5.
+
     Rows (a, o, i) without evidence keep the posterior that they have, in the beginning that of the
     initial controller: under the printed hyper-priors they would drift to the last node
     (shape-rate) or the first (shape-scale).
     """
 
-    nodes: int = 20
+    nodes: int = 8
     """Truncation level: nodes of every controller, of which the learner uses as many as pay."""
+    schedule: Literal["batch", "online"] = "batch"
+    """batch: Algorithm 5 on the newest episodes. online: running means of the statistics, which is
+    stochastic variational inference (the dissertation's future work)."""
+    batch_episodes: int = 500
+    """Episodes collected under the current policy for one update, then discarded."""
+    weighting: Literal["reward", "return"] = "return"
+    """reward: every reward by its importance ratio, the empirical value (2.45). return: whole
+    on-policy episodes by exp(temperature x standardised return), which needs no shift."""
+    temperature: float = 1.0
+    """Of the weighting by return; larger values look at the best episodes only, and decide sooner
+    for less."""
     hyper_shape: float = 0.1
     """c = e, shape of the Gamma hyper-priors of the sticks' second parameters."""
     hyper_second: float = 1e-6
