@@ -125,8 +125,14 @@ class DiscreteSpaces:
         return indices
 
 
-def team_spaces(space: gym.spaces.MultiDiscrete) -> dict[str, gym.spaces.Discrete]:
-    """Return the spaces of agent_0, agent_1, ... one column each of a batch of teams."""
+def team_spaces(space: gym.Space[Any]) -> dict[str, gym.spaces.Discrete]:
+    """Return the spaces of agent_0, agent_1, ..., one column each of a batch of teams.
+
+    Raises:
+        ValueError: the space is no MultiDiscrete.
+    """
+    if not isinstance(space, gym.spaces.MultiDiscrete):
+        raise ValueError(f"space: {space}, must be a MultiDiscrete with one entry an agent")
     return {f"agent_{n}": gym.spaces.Discrete(int(size)) for n, size in enumerate(space.nvec)}
 
 
