@@ -39,7 +39,7 @@ READINGS = {"rate": 1e-6, "scale": 1e6}
 
 
 def learner(spaces=TEAM, **settings):
-    config = StickBreakingConfig(**({"nodes": 4, "schedule": "batch"} | settings))
+    config = StickBreakingConfig(**({"nodes": 4, "weighting": "reward"} | settings))
     return StickBreaking(*spaces, config, discount=DISCOUNT, seed=1)
 
 
