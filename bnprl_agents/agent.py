@@ -31,6 +31,10 @@ AGENT_CLASSES = {
     "RandomAgent": "bnprl_agents.random_agent",
     "BatchEM": "bnprl_agents.controllers.em",
     "OnlineEM": "bnprl_agents.controllers.online_em",
+    "MonteCarloEM": "bnprl_agents.controllers.mcem",
+    "InfiniteRPR": "bnprl_agents.controllers.infinite",
+    "StickBreaking": "bnprl_agents.controllers.stick_breaking",
+    "VariationalBayes": "bnprl_agents.controllers.variational",
     "ActorCritic": "bnprl_agents.controllers.actor_critic",
     "PredictiveActorCritic": "bnprl_agents.belief.predictive_actor_critic",
 }
