@@ -110,6 +110,18 @@ CONTENDERS: dict[str, Contender] = {
             "policies on the belief of a hidden Markov model, learned together",
         ),
         _agent(
+            "variational",
+            "bnprl_agents.controllers.variational:VariationalBayes",
+            "VariationalBayesConfig",
+            "finite-state controllers by variational Bayes with Dirichlet priors",
+        ),
+        _agent(
+            "stick-breaking",
+            "bnprl_agents.controllers.stick_breaking:StickBreaking",
+            "StickBreakingConfig",
+            "finite-state controllers whose size is inferred by stick-breaking priors (DEC-SBPR)",
+        ),
+        _agent(
             "infinite-rpr",
             "bnprl_agents.controllers.infinite:InfiniteRPR",
             "InfiniteRPRConfig",
