@@ -118,6 +118,30 @@ CONTENDERS: dict[str, Contender] = {
             "local search over deterministic controllers, scored by simulated episodes",
         ),
         _agent(
+            "variational",
+            "bnprl_agents.controllers.variational:VariationalBayes",
+            "VariationalBayesConfig",
+            "finite-state controllers by variational Bayes with Dirichlet priors",
+        ),
+        _agent(
+            "stick-breaking",
+            "bnprl_agents.controllers.stick_breaking:StickBreaking",
+            "StickBreakingConfig",
+            "finite-state controllers whose size is inferred by stick-breaking priors (DEC-SBPR)",
+        ),
+        _agent(
+            "infinite-rpr",
+            "bnprl_agents.controllers.infinite:InfiniteRPR",
+            "InfiniteRPRConfig",
+            "finite-state controllers whose nodes are born and dropped under an HDP (iRPR)",
+        ),
+        _agent(
+            "mcem",
+            "bnprl_agents.controllers.mcem:MonteCarloEM",
+            "MonteCarloEMConfig",
+            "finite-state controllers by Monte-Carlo EM on sampled nodes",
+        ),
+        _agent(
             "random",
             "bnprl_agents.random_agent:RandomAgent",
             "RandomConfig",

@@ -8,11 +8,15 @@ from bnprl_agents.belief.predictive_actor_critic import (
 from bnprl_agents.controllers.actor_critic import ActorCritic, ActorCriticConfig
 from bnprl_agents.controllers.controller import Controller, random_controller
 from bnprl_agents.controllers.em import BatchEM, BatchEMConfig
+from bnprl_agents.controllers.infinite import InfiniteRPR, InfiniteRPRConfig
+from bnprl_agents.controllers.mcem import MonteCarloEM, MonteCarloEMConfig
 from bnprl_agents.controllers.messages import Counts, soft_counts
 from bnprl_agents.controllers.online_em import OnlineEM, OnlineEMConfig
 from bnprl_agents.controllers.rollout import rollout
 from bnprl_agents.controllers.scoring import simulated_returns
+from bnprl_agents.controllers.stick_breaking import StickBreaking, StickBreakingConfig
 from bnprl_agents.controllers.value import controller_value
+from bnprl_agents.controllers.variational import VariationalBayes, VariationalBayesConfig
 from bnprl_agents.episodes import EpisodeBatch
 from bnprl_agents.policy_files import PolicyFileError
 from bnprl_agents.random_agent import RandomAgent, RandomConfig
@@ -31,6 +35,10 @@ __all__ = [
     "ControllerSearchConfig",
     "Counts",
     "EpisodeBatch",
+    "InfiniteRPR",
+    "InfiniteRPRConfig",
+    "MonteCarloEM",
+    "MonteCarloEMConfig",
     "OnlineEM",
     "OnlineEMConfig",
     "PolicyFileError",
@@ -39,7 +47,11 @@ __all__ = [
     "Progress",
     "RandomAgent",
     "RandomConfig",
+    "StickBreaking",
+    "StickBreakingConfig",
     "TeamSimulator",
+    "VariationalBayes",
+    "VariationalBayesConfig",
     "controller_value",
     "load",
     "random_controller",

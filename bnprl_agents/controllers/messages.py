@@ -153,7 +153,7 @@ def reward_weights(
             np.log(likelihood) - np.log(episodes.behaviour[:, n])
             for n, likelihood in enumerate(likelihoods)
         )
-    log_weight = _running_sum(episodes.offsets, np.asarray(log_step, dtype=np.float64))
+    log_weight = running_sum(episodes.offsets, np.asarray(log_step, dtype=np.float64))
     log_weight += np.log(discount) * episodes.steps_into_episode()
     earning = episodes.rewards > 0.0
     log_scale = float(np.max(log_weight, where=earning, initial=-np.inf))
@@ -263,7 +263,8 @@ def _backward(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _running_sum(offsets, steps):  # type: ignore[no-untyped-def]
+def running_sum(offsets, steps):  # type: ignore[no-untyped-def]
+    """Sums (S,) of steps (S,) from each episode's beginning on."""
     sums = np.empty(steps.size)
     for k in range(offsets.size - 1):
         total = 0.0

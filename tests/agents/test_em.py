@@ -4,11 +4,13 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from bnprl_agents.controllers.em import BatchEM, BatchEMConfig, inner_em, maximise
+from bnprl_agents.controllers.em import BatchEM, BatchEMConfig
 from bnprl_agents.controllers.exploration import exploration_suffices, exploring_probability
 from bnprl_agents.controllers.learner import shifted
 from bnprl_agents.controllers.messages import forward, reward_shares, soft_counts
+from bnprl_agents.controllers.nested_em import blended_value, inner_em
 from bnprl_agents.controllers.online_em import OnlineEM, OnlineEMConfig
+from bnprl_agents.controllers.priors import MaximumLikelihood, maximise
 from bnprl_agents.controllers.rollout import rollout
 from bnprl_agents.controllers.value import controller_value
 from tests.agents.cases import random_episodes, random_model, random_team
@@ -37,12 +39,13 @@ def test_em_never_lowers_the_empirical_value(seed):
     rng = np.random.default_rng(seed)
     sizes = (2, 3), (3, 2)
     episodes = random_episodes(rng, tuple(rng.integers(1, 8, size=30)), *sizes)
-    team, values = random_team(rng, (3, 2), *sizes), []
+    em = MaximumLikelihood()
+    team, values = [em.around(c) for c in random_team(rng, (3, 2), *sizes)], []
     for _ in range(15):
-        messages = [forward(episodes, n, c) for n, c in enumerate(team)]
+        messages = [forward(episodes, n, p.geometric) for n, p in enumerate(team)]
         value, nu = reward_shares(episodes, [m.likelihood for m in messages], DISCOUNT)
         values.append(value)
-        team, _ = inner_em(episodes, team, messages, nu, 3, lambda n, s, c: maximise(s, c))
+        team, _ = inner_em(episodes, team, messages, nu, 3, lambda _, s, old: em.update(s, old))
     assert (np.diff(values) >= -1e-12 * np.abs(values[1:])).all()
     assert values[-1] > 1.2 * values[0]
 
@@ -104,12 +107,13 @@ def test_online_blends_with_the_saved_statistics_once_an_update():
     config = OnlineEMConfig(nodes=2, batch_episodes=2, inner_iterations=4)
     agent = OnlineEM(*SPACES, config, discount=0.9, seed=0)
     agent.learn(random_episodes(rng, (3, 4), (2,), (4,)))
-    saved, rate = agent.statistics[0].action.copy(), (1 + 2 / 10) ** -0.6
+    saved, value, rate = agent.statistics[0].action.copy(), agent.value, (1 + 2 / 10) ** -0.6
     silent = random_episodes(rng, (3, 4), (2,), (4,))
     silent.rewards[:] = 0.0
     policy = agent.controllers
-    agent.learn(silent)
-    np.testing.assert_allclose(agent.statistics[0].action, (1 - rate) * saved)
+    assert agent.learn(silent)["unchanged"] == 1.0
+    np.testing.assert_allclose(agent.statistics[0].action, saved)
+    assert agent.value == pytest.approx((1 - rate) * value)
     for before, after in zip(policy, agent.controllers, strict=True):
         np.testing.assert_allclose(after.action, before.action)
 
@@ -132,8 +136,28 @@ def test_a_part_of_a_batch_moves_the_learners_part_of_the_way():
     )
     for agent in (whole, part):
         agent.learn(half)
-    np.testing.assert_allclose(part.statistics[0].action, whole.statistics[0].action / 2)
+    np.testing.assert_allclose(part.statistics[0].action, whole.statistics[0].action)
     np.testing.assert_allclose(part.value, whole.value / 2)
+
+
+def test_statistics_blend_in_proportion_to_the_values():
+    # (1 - .25) 8 + .25 * 40 = 16, of which the new batch has 10
+    log_value, share = blended_value(np.log(8.0), np.log(40.0), 0.25)
+    assert np.exp(log_value) == pytest.approx(16.0)
+    assert share == pytest.approx(10.0 / 16.0)
+    assert blended_value(-np.inf, np.log(3.0), 0.5) == pytest.approx((np.log(1.5), 1.0))
+    assert blended_value(2.0, 900.0, 1.0) == (900.0, 1.0)
+
+
+def test_importance_ratios_beyond_the_floating_range_are_learned_from():
+    rng = np.random.default_rng(7)
+    episodes = random_episodes(rng, (400, 300), (2,), (4,))
+    episodes.behaviour[:] = 0.01
+    agent = OnlineEM(*SPACES, OnlineEMConfig(nodes=2), discount=0.9, seed=0)
+    for _ in range(3):
+        agent.learn(episodes)
+    assert 709.0 < agent.log_value < np.inf
+    assert np.isfinite(agent.controllers[0].successor).all()
 
 
 def test_online_stops_when_exploring_is_negligible():

@@ -10,8 +10,12 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from bnprl_agents.agent import load
 from bnprl_agents.controllers.actor_critic import ActorCritic, ActorCriticConfig
 from bnprl_agents.controllers.em import BatchEM, BatchEMConfig
+from bnprl_agents.controllers.infinite import InfiniteRPR, InfiniteRPRConfig
 from bnprl_agents.controllers.learner import NegativeRewardError
+from bnprl_agents.controllers.mcem import MonteCarloEM, MonteCarloEMConfig
 from bnprl_agents.controllers.online_em import OnlineEM, OnlineEMConfig
+from bnprl_agents.controllers.stick_breaking import StickBreaking, StickBreakingConfig
+from bnprl_agents.controllers.variational import VariationalBayes, VariationalBayesConfig
 from bnprl_agents.policy_files import PolicyFileError
 from bnprl_agents.random_agent import RandomAgent
 from bnprl_agents.training import Progress, smallest_reward, train
@@ -19,6 +23,19 @@ from bnprl_envs.model import TabularModel
 from bnprl_envs.tabular_vector import TabularVectorEnv
 
 SPACES = gym.spaces.Discrete(3), gym.spaces.Discrete(2)
+every_agent = pytest.mark.parametrize(
+    "agent_class",
+    [
+        RandomAgent,
+        BatchEM,
+        OnlineEM,
+        VariationalBayes,
+        StickBreaking,
+        InfiniteRPR,
+        MonteCarloEM,
+        ActorCritic,
+    ],
+)
 
 
 class Corridor(gym.Env):
@@ -47,7 +64,7 @@ def online(seed=0, **settings):
     return OnlineEM(*SPACES, config, discount=0.9, seed=seed)
 
 
-@pytest.mark.parametrize("agent_class", [RandomAgent, BatchEM, OnlineEM, ActorCritic])
+@every_agent
 def test_a_scalar_is_a_batch_of_one_and_comes_back_as_a_scalar(agent_class):
     env, agent = Corridor(), agent_class(*SPACES, discount=0.9, seed=0)
     observation, _ = env.reset(seed=0)
@@ -300,6 +317,10 @@ def history(agent, env, observation, steps):
         (BatchEM, BatchEMConfig(nodes=3, batch_episodes=7)),
         (OnlineEM, OnlineEMConfig(nodes=3, batch_episodes=7)),
         (ActorCritic, ActorCriticConfig(nodes=3, batch_steps=20)),
+        (VariationalBayes, VariationalBayesConfig(nodes=3, batch_episodes=7)),
+        (StickBreaking, StickBreakingConfig(nodes=3, batch_episodes=7)),
+        (InfiniteRPR, InfiniteRPRConfig(nodes=6, initial_nodes=3, batch_episodes=7)),
+        (MonteCarloEM, MonteCarloEMConfig(nodes=3, batch_episodes=7)),
     ],
 )
 def test_a_loaded_agent_goes_on_bit_for_bit(agent_class, config, tmp_path):

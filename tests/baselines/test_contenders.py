@@ -26,6 +26,10 @@ LAKE = EnvironmentSpec("FrozenLake-v1", {"discount": 0.9})
 SMALL: dict[str, dict[str, Any]] = {
     "online-em": {"nodes": 4, "batch_episodes": 10},
     "batch-em": {"nodes": 4, "batch_episodes": 10},
+    "variational": {"nodes": 4, "batch_episodes": 10},
+    "stick-breaking": {"nodes": 4, "batch_episodes": 10},
+    "infinite-rpr": {"nodes": 6, "initial_nodes": 3, "batch_episodes": 10},
+    "mcem": {"nodes": 4, "batch_episodes": 10},
     "dqn": {"n_envs": 4, "learning_starts": 100, "buffer_size": 2_000, "batch_size": 16},
     "ppo": {"n_envs": 4, "n_steps": 32, "batch_size": 64},
     "a2c": {"n_envs": 4},
