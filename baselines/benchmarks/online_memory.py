@@ -15,7 +15,7 @@ import time
 from typing import Any
 
 from baselines.contenders import build_learner, contender
-from baselines.evaluation import EnvironmentSpec
+from baselines.environment import EnvironmentSpec
 
 HALLWAY = EnvironmentSpec("bnprl/Hallway-v0")
 EPISODES = (1_000, 5_000, 20_000, 50_000)
