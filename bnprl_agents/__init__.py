@@ -14,7 +14,13 @@ from bnprl_agents.controllers.rollout import rollout
 from bnprl_agents.controllers.scoring import simulated_returns
 from bnprl_agents.controllers.value import controller_value
 from bnprl_agents.episodes import EpisodeBatch
+from bnprl_agents.gaussian_process.gp_fitted_q import GPFittedQ, GPFittedQConfig
+from bnprl_agents.gaussian_process.gp_q import GPQ, GPQConfig, OptimisticGPQConfig
+from bnprl_agents.gaussian_process.kernels import RadialKernel
+from bnprl_agents.gaussian_process.sparse_gp import SparseGP
 from bnprl_agents.policy_files import PolicyFileError
+from bnprl_agents.q_learning.linear_q import GQ, GQConfig, LinearQ, LinearQConfig
+from bnprl_agents.q_learning.tabular_q import TabularQ, TabularQConfig
 from bnprl_agents.random_agent import RandomAgent, RandomConfig
 from bnprl_agents.search.controller_search import ControllerSearch, ControllerSearchConfig
 from bnprl_agents.search.simulator import TeamSimulator, simulator_of
@@ -31,15 +37,28 @@ __all__ = [
     "ControllerSearchConfig",
     "Counts",
     "EpisodeBatch",
+    "GPFittedQ",
+    "GPFittedQConfig",
+    "GPQ",
+    "GPQConfig",
+    "GQ",
+    "GQConfig",
+    "LinearQ",
+    "LinearQConfig",
     "OnlineEM",
     "OnlineEMConfig",
+    "OptimisticGPQConfig",
     "PolicyFileError",
     "PredictiveActorCritic",
     "PredictiveActorCriticConfig",
     "Progress",
+    "RadialKernel",
     "RandomAgent",
     "RandomConfig",
     "TeamSimulator",
+    "SparseGP",
+    "TabularQ",
+    "TabularQConfig",
     "controller_value",
     "load",
     "random_controller",
