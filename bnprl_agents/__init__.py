@@ -29,6 +29,8 @@ from bnprl_agents.training import Progress, train
 __all__ = [
     "ActorCritic",
     "ActorCriticConfig",
+    "GPQ",
+    "GQ",
     "Agent",
     "BatchEM",
     "BatchEMConfig",
@@ -39,9 +41,7 @@ __all__ = [
     "EpisodeBatch",
     "GPFittedQ",
     "GPFittedQConfig",
-    "GPQ",
     "GPQConfig",
-    "GQ",
     "GQConfig",
     "LinearQ",
     "LinearQConfig",

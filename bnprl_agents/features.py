@@ -28,6 +28,8 @@ class Features:
     Attributes:
         dimensions: D.
         low, high: (D,) ends of the range in units of the observation; infinite where unknown.
+        points: (n, D) of the values of a Discrete space; (0, D) for a Box.
+        offset, range: (D,) of a Box, whose points are (observation - offset) / range.
 
     Raises:
         ValueError: another kind of space, or the settings do not fit it.
@@ -49,10 +51,12 @@ class Features:
             if low or high:
                 raise ValueError("low, high: are of a Box; the observation space is Discrete")
             self.points = _cell_points(int(space.n), grid_columns)
+            self.offset, self.range = np.zeros(1), np.ones(1)
             self.low, self.high = self.points.min(axis=0), self.points.max(axis=0)
         elif isinstance(space, gym.spaces.Box):
             if grid_columns:
                 raise ValueError("grid_columns: is of a Discrete space; the observation is a Box")
+            self.points = np.zeros((0, int(np.prod(space.shape))))
             self.low = _ends("low", low, space.low)
             self.high = _ends("high", high, space.high)
             self._check_box(bounded)
@@ -71,7 +75,7 @@ class Features:
         array = np.asarray(observation, dtype=np.float64).reshape(-1, self.dimensions)
         if not np.isfinite(array).all():
             raise ValueError(f"observation: {array[~np.isfinite(array)][0]}, must be finite")
-        return (array - self._offset) / self._range
+        return (array - self.offset) / self.range
 
     def batched(self, observation: Any) -> bool:
         """Whether this is a batch of observations."""
@@ -97,8 +101,8 @@ class Features:
                 f"observation_space: {self.space} has infinite bounds; give low and high"
             )
         with np.errstate(invalid="ignore"):
-            self._offset = np.where(known, self.low, 0.0)
-            self._range = np.where(known, self.high - self.low, 1.0)
+            self.offset = np.where(known, self.low, 0.0)
+            self.range = np.where(known, self.high - self.low, 1.0)
 
 
 def _cell_points(n: int, columns: int) -> FloatArray:

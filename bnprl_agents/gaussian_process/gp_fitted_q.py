@@ -247,7 +247,9 @@ class GPFittedQ(ValueAgent):
         basis, actions, weights = self._fitted
         columns = [points] * self.n_actions
         if self.config.inputs == "joint":
-            columns = [np.column_stack([points, np.full(len(points), a)]) for a in range(self.n_actions)]
+            columns = [
+                np.column_stack([points, np.full(len(points), a)]) for a in range(self.n_actions)
+            ]
             basis = np.column_stack([basis, actions])
             return np.stack([self.kernel(x, basis) @ weights for x in columns], axis=1)
         cross = self.kernel(points, basis)

@@ -9,6 +9,7 @@ import numpy as np
 from numba import njit
 
 from bnprl_agents.agent import Metrics
+from bnprl_agents.compiled_values import CompiledValueAgent, learn_in_order, register
 from bnprl_agents.episodes import FloatArray, IntArray
 from bnprl_agents.gaussian_process.kernels import (
     RadialKernel,
@@ -27,7 +28,7 @@ from bnprl_agents.gaussian_process.sparse_gp import (
     update,
 )
 from bnprl_agents.policy_files import Arrays
-from bnprl_agents.value_learner import Transitions, ValueAgent, check_exponent, taken
+from bnprl_agents.value_learner import Transitions, check_exponent, taken
 
 OPTIMISM = 2.0
 """Variances by which the optimistic variant overestimates; section 3.4.3."""
@@ -68,7 +69,9 @@ class GPQConfig:
 
     def __post_init__(self) -> None:
         if self.exploration not in ("epsilon", "optimistic"):
-            raise ValueError(f"exploration: {self.exploration!r}, must be 'epsilon' or 'optimistic'")
+            raise ValueError(
+                f"exploration: {self.exploration!r}, must be 'epsilon' or 'optimistic'"
+            )
         if self.inputs not in ("per-action", "joint"):
             raise ValueError(f"inputs: {self.inputs!r}, must be 'per-action' or 'joint'")
         check_exponent("exploration_exponent", self.exploration_exponent)
@@ -117,7 +120,25 @@ class Inputs(NamedTuple):
     code: FloatArray
 
 
-class GPQ(ValueAgent):
+class Processes(NamedTuple):
+    """Everything that the compiled functions read and change.
+
+    Attributes:
+        basis: the processes' states, with a leading axis of processes.
+        inputs: where Q(s, a) is found.
+        prior: what the processes assume.
+        optimism: variances that are added to a mean.
+        discount: gamma.
+    """
+
+    basis: Basis
+    inputs: Inputs
+    prior: Prior
+    optimism: float
+    discount: float
+
+
+class GPQ(CompiledValueAgent):
     """Q-learning whose action values are sparse online Gaussian processes.
 
     A transition is a measurement y = r + gamma max_b m(s', b) of Q(s, a) with Gaussian noise; at a
@@ -163,21 +184,30 @@ class GPQ(ValueAgent):
         self.basis = self._empty()
         self._kept: list[Transitions] = []
 
+    @property
+    def learner(self) -> Processes:
+        """The processes as they stand."""
+        return self._processes(OPTIMISM if self._optimistic else 0.0)
+
     def values(self, points: FloatArray) -> FloatArray:
         """Return the posterior means (n, A) at points (n, D); (3.6)."""
-        return q_values(self.basis, self.inputs, self.prior, points, 0.0)
+        values: FloatArray = q_values(self._processes(0.0), points)
+        return values
 
     def variances(self, points: FloatArray) -> FloatArray:
         """Return the posterior variances (n, A), without the noise, at points (n, D); (3.7)."""
-        return q_values(self.basis, self.inputs, self.prior, points, 1.0) - self.values(points)
+        variances: FloatArray = q_values(self._processes(1.0), points) - self.values(points)
+        return variances
 
-    def behaviour_values(self, points: FloatArray) -> FloatArray:
-        """Return the values (n, A) by which `act` is greedy: optimistic ones for the optimist."""
-        return q_values(self.basis, self.inputs, self.prior, points, self._optimism)
+    @property
+    def explores(self) -> bool:
+        """Whether random actions are taken: the optimist takes none."""
+        return not self._optimistic
 
-    def exploring_probability(self) -> float:
-        """Return epsilon of the next step; 0 for the optimist."""
-        return 0.0 if self._optimism else super().exploring_probability()
+    @property
+    def compiles(self) -> bool:
+        """Whether training may be compiled: not where hyper-parameters are chosen on the way."""
+        return self.config.select_after == 0
 
     def basis_points(self) -> list[FloatArray]:
         """Return the basis points (m, D) of each process, as points of `features`."""
@@ -188,11 +218,15 @@ class GPQ(ValueAgent):
 
     def learn(self, transitions: Transitions) -> Metrics:
         """Take the transitions as measurements, one after the other; Algorithm 2."""
-        error = self._measure(transitions)
-        if self._select_at and self.steps < self._select_at:
+        metrics = super().learn(transitions)
+        if self.steps < self.config.select_after:
             self._kept.append(transitions)
-            if self.steps + len(transitions.actions) >= self._select_at:
+            if self.steps + len(transitions.actions) >= self.config.select_after:
                 self._select()
+        return metrics
+
+    def report(self, error: float) -> Metrics:
+        """Report errors, the size of the basis and the exploration."""
         return {
             "td_error": error,
             "basis_points": float(self.basis.size.sum()),
@@ -200,24 +234,11 @@ class GPQ(ValueAgent):
         }
 
     @property
-    def _optimism(self) -> float:
-        return OPTIMISM if self.config.exploration == "optimistic" else 0.0
+    def _optimistic(self) -> bool:
+        return self.config.exploration == "optimistic"
 
-    @property
-    def _select_at(self) -> int:
-        return self.config.select_after
-
-    def _measure(self, transitions: Transitions) -> float:
-        return float(
-            measure(
-                self.basis,
-                self.inputs,
-                self.prior,
-                self._optimism,
-                self.discount,
-                *(np.ascontiguousarray(part) for part in transitions),
-            )
-        )
+    def _processes(self, optimism: float) -> Processes:
+        return Processes(self.basis, self.inputs, self.prior, optimism, self.discount)
 
     def _select(self) -> None:
         """Choose the hyper-parameters by what was seen, and learn it again under them."""
@@ -236,7 +257,7 @@ class GPQ(ValueAgent):
             bandwidth=np.array(kernel.bandwidth), amplitude=kernel.amplitude, noise=noise
         )
         self.basis, self._kept = self._empty(), []
-        self._measure(kept)
+        learn_in_order(self.learner, 0, *kept)
 
     def learned_arrays(self) -> Arrays:
         """The processes, their hyper-parameters, and what these will be chosen by."""
@@ -252,7 +273,11 @@ class GPQ(ValueAgent):
     def restore_learned(self, arrays: Arrays) -> None:
         """Take over saved processes."""
         size = arrays["basis_size"]
-        if size.shape != self.basis.size.shape or (size < 0).any() or (size > self.prior.budget).any():
+        if (
+            size.shape != self.basis.size.shape
+            or (size < 0).any()
+            or (size > self.prior.budget).any()
+        ):
             raise ValueError("basis_size does not fit the budget")
         shapes = {name: array.shape for name, array in self.basis._asdict().items()}
         floats = {n: taken(arrays, f"basis_{n}", s) for n, s in shapes.items() if n != "size"}
@@ -295,8 +320,9 @@ def joined(point, code, bandwidth):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def q_value(basis, inputs, prior, point, action, optimism):  # type: ignore[no-untyped-def]
+def q_value(processes, point, action):  # type: ignore[no-untyped-def]
     """Return m(s, a) + optimism var(s, a)."""
+    basis, inputs, prior, optimism, _ = processes
     z = joined(point, inputs.code[action], prior.bandwidth)
     state = process(basis, inputs.owner[action])
     if optimism == 0.0:
@@ -306,36 +332,33 @@ def q_value(basis, inputs, prior, point, action, optimism):  # type: ignore[no-u
 
 
 @njit(cache=True)
-def q_values(basis, inputs, prior, points, optimism):  # type: ignore[no-untyped-def]
-    """Return m(s, a) + optimism var(s, a), (n, A), at points (n, D)."""
-    values = np.empty((points.shape[0], inputs.owner.size))
-    for i in range(values.shape[0]):
-        for a in range(values.shape[1]):
-            values[i, a] = q_value(basis, inputs, prior, points[i], a, optimism)
+def action_values(processes, point):  # type: ignore[no-untyped-def]
+    """Return m(s, a) + optimism var(s, a) of every action, (A,)."""
+    values = np.empty(processes.inputs.owner.size)
+    for a in range(values.size):
+        values[a] = q_value(processes, point, a)
     return values
 
 
 @njit(cache=True)
-def measure(  # type: ignore[no-untyped-def]
-    basis, inputs, prior, optimism, discount, points, actions, rewards, next_points, terminated
-):
-    """Learn transitions in order; return the mean of |y - m(s, a)| before each."""
-    error = 0.0
-    for i in range(actions.size):
-        y = rewards[i]
-        if not terminated[i]:
-            best = -np.inf
-            for b in range(inputs.owner.size):
-                best = max(best, q_value(basis, inputs, prior, next_points[i], b, optimism))
-            y += discount * best
-        error += abs(y - q_value(basis, inputs, prior, points[i], actions[i], 0.0))
-        update(
-            process(basis, inputs.owner[actions[i]]),
-            joined(points[i], inputs.code[actions[i]], prior.bandwidth),
-            y,
-            prior.amplitude,
-            prior.noise,
-            prior.tolerance,
-            prior.budget,
-        )
-    return error / actions.size
+def q_values(processes, points):  # type: ignore[no-untyped-def]
+    """Return the same (n, A) at points (n, D)."""
+    values = np.empty((points.shape[0], processes.inputs.owner.size))
+    for i in range(points.shape[0]):
+        values[i] = action_values(processes, points[i])
+    return values
+
+
+@njit(cache=True)
+def learn_measurement(processes, x, a, r, x_t, terminated, t):  # type: ignore[no-untyped-def]
+    """Measure y = r + gamma max_b [m(s', b) + optimism var(s', b)] of Q(s, a); (3.5)."""
+    basis, inputs, prior, _, discount = processes
+    y = r
+    if not terminated:
+        y += discount * action_values(processes, x_t).max()
+    z = joined(x, inputs.code[a], prior.bandwidth)
+    state = process(basis, inputs.owner[a])
+    return abs(update(state, z, y, prior.amplitude, prior.noise, prior.tolerance, prior.budget))
+
+
+register(Processes, action_values, learn_measurement)

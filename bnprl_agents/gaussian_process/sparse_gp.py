@@ -96,7 +96,9 @@ class SparseGP:
         self.kernel = kernel
         self.noise = float(noise)
         self.budget = budget
-        self.tolerance = max(float(tolerance), UNLIMITED_FLOOR if budget is None else TOLERANCE_FLOOR)
+        self.tolerance = max(
+            float(tolerance), UNLIMITED_FLOOR if budget is None else TOLERANCE_FLOOR
+        )
         capacity = 64 if budget is None else budget + 1
         self.basis = empty_basis(capacity, len(kernel.bandwidth))
 
@@ -110,7 +112,7 @@ class SparseGP:
 
     @property
     def weights(self) -> FloatArray:
-        """alpha (m,)."""
+        """Alpha (m,)."""
         return self.basis.weights[: len(self)]
 
     @property
@@ -233,12 +235,16 @@ def predict(basis, points, amplitude):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def update(basis, x, y, amplitude, noise, tolerance, budget):  # type: ignore[no-untyped-def]
-    """Learn one measurement y at x, in place; needs capacity for one more basis point."""
+    """Learn one measurement y at x in place; return its error y - m(x) before.
+
+    Needs capacity for one more basis point.
+    """
     k = covariances(basis, x, amplitude)
     ck, projection = _times(basis.covariance, k), _times(basis.precision, k)
     spread = variance(basis, k, ck, amplitude)
     novelty = amplitude - _dot(k, projection)  # beta, (3.8)
-    q = (y - _dot(k, basis.weights)) / (noise + spread)
+    error = y - _dot(k, basis.weights)
+    q = error / (noise + spread)
     r = -1.0 / (noise + spread)
     if novelty > tolerance * amplitude:
         projection = _refined(basis, k, projection)
@@ -254,6 +260,7 @@ def update(basis, x, y, amplitude, noise, tolerance, budget):  # type: ignore[no
         for i in range(s.size):
             basis.weights[i] += q * eta * s[i]
         _add_outer(basis.covariance, s, r * eta)
+    return error
 
 
 @njit(cache=True)

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
 from numba import njit
 
 from bnprl_agents.agent import Metrics
-from bnprl_agents.episodes import FloatArray
+from bnprl_agents.compiled_values import CompiledValueAgent, register
+from bnprl_agents.episodes import BoolArray, FloatArray
 from bnprl_agents.gaussian_process.kernels import (
     broadcast_bandwidth,
     check_bandwidth,
@@ -20,8 +21,10 @@ from bnprl_agents.gaussian_process.kernels import (
 )
 from bnprl_agents.policy_files import Arrays
 from bnprl_agents.q_learning.schedule import check_schedules, learning_rate
-from bnprl_agents.value_learner import Transitions, ValueAgent, taken
+from bnprl_agents.value_learner import taken
 
+MOST_BASES = 10**6
+"""Largest number of bases."""
 LARGEST_ERROR = 1e100
 """Of a transition; beyond, learning has diverged and stops, with every weight still finite."""
 
@@ -69,7 +72,33 @@ class GQConfig(LinearQConfig):
         check_positive("correction_rate", self.correction_rate)
 
 
-class LinearQ(ValueAgent):
+class Weights(NamedTuple):
+    """Everything that the compiled functions read and change.
+
+    Attributes:
+        weights: (A, M) w.
+        correction: (A, M) v.
+        centres: (M, D) of the bases, in units of the bandwidths.
+        bandwidth: (D,).
+        discount: gamma.
+        initial_rate: c of the learning rate c / t^a.
+        rate_exponent: a.
+        correction_rate: of v, as a multiple of the learning rate; 0: v is not learned.
+        diverged: (1,) whether learning has stopped.
+    """
+
+    weights: FloatArray
+    correction: FloatArray
+    centres: FloatArray
+    bandwidth: FloatArray
+    discount: float
+    initial_rate: float
+    rate_exponent: float
+    correction_rate: float
+    diverged: BoolArray
+
+
+class LinearQ(CompiledValueAgent):
     """Semi-gradient Q-learning on fixed radial bases: Q(s, a) = w_a' phi(s).
 
     It may diverge, above all where many bases overlap. When an error passes `LARGEST_ERROR` it
@@ -81,7 +110,6 @@ class LinearQ(ValueAgent):
         centres: (M, D) of the bases, in units of the bandwidths.
         weights: (A, M) w.
         correction: (A, M) the second weight vector; always 0 here, see `GQ`.
-        diverged: whether learning has stopped.
     """
 
     Config: Any = LinearQConfig
@@ -101,57 +129,57 @@ class LinearQ(ValueAgent):
         self.bandwidth = np.array(
             broadcast_bandwidth(self.config.bandwidth, self.features.dimensions)
         )
-        if isinstance(observation_space, gym.spaces.Discrete):
-            centres = self.features.points
-        else:
-            axis = np.linspace(0.0, 1.0, self.config.bases + 2)[1:-1]
-            if self.config.bases > 1:
-                axis = np.linspace(0.0, 1.0, self.config.bases)
-            if self.config.bases**self.features.dimensions > 10**6:
-                raise ValueError(
-                    f"bases: {self.config.bases} in {self.features.dimensions} dimensions are more "
-                    "than 1,000,000"
-                )
-            centres = np.array(list(itertools.product(axis, repeat=self.features.dimensions)))
-        self.centres = np.ascontiguousarray(centres / self.bandwidth)
+        self.centres = np.ascontiguousarray(self._grid(observation_space) / self.bandwidth)
         self.weights = np.zeros((self.n_actions, len(self.centres)))
         self.correction = np.zeros_like(self.weights)
-        self.diverged = False
+        self._diverged = np.zeros(1, dtype=np.bool_)
 
     @property
     def correction_rate(self) -> float:
         """Rate of the second weight vector as a multiple of the first one's; 0: there is none."""
         return 0.0
 
-    def values(self, points: FloatArray) -> FloatArray:
-        """Return w_a' phi(s), (n, A), at points (n, D)."""
-        return linear_values(self.weights, self.centres, points / self.bandwidth)
+    @property
+    def diverged(self) -> bool:
+        """Whether learning has stopped."""
+        return bool(self._diverged[0])
 
-    def learn(self, transitions: Transitions) -> Metrics:
-        """Take a semi-gradient step for each transition, one after the other."""
-        if self.diverged:
-            return {"diverged": 1.0}
-        error = learn_linear(
+    @property
+    def learner(self) -> Weights:
+        """The weights as they stand."""
+        return Weights(
             self.weights,
             self.correction,
             self.centres,
-            transitions.points / self.bandwidth,
-            transitions.actions,
-            transitions.rewards,
-            transitions.next_points / self.bandwidth,
-            transitions.terminated,
+            self.bandwidth,
             self.discount,
             self.config.initial_rate,
             self.config.rate_exponent,
             self.correction_rate,
-            self.steps,
+            self._diverged,
         )
-        self.diverged = error > LARGEST_ERROR
+
+    def values(self, points: FloatArray) -> FloatArray:
+        """Return w_a' phi(s), (n, A), at points (n, D)."""
+        return self.behaviour_values(points)
+
+    def report(self, error: float) -> Metrics:
+        """Report errors, the exploration and whether learning has stopped."""
         return {
-            "td_error": float(error),
+            "td_error": error,
             "exploring": self.exploring_probability(),
             "diverged": float(self.diverged),
         }
+
+    def _grid(self, space: gym.Space[Any]) -> FloatArray:
+        """Return the centres (M, D) of the bases, as points."""
+        if isinstance(space, gym.spaces.Discrete):
+            return self.features.points
+        bases, dimensions = self.config.bases, self.features.dimensions
+        if bases**dimensions > MOST_BASES:
+            raise ValueError(f"bases: {bases} in {dimensions} dimensions, must be {MOST_BASES:,}")
+        axis = np.linspace(0.0, 1.0, bases) if bases > 1 else np.array([0.5])
+        return np.array(list(itertools.product(axis, repeat=dimensions)))
 
     def learned_arrays(self) -> Arrays:
         """Both weight vectors."""
@@ -164,7 +192,7 @@ class LinearQ(ValueAgent):
     def restore(self, arrays: Arrays, counters: dict[str, Any]) -> None:
         """Take over a saved state; see `Agent.restore`."""
         super().restore(arrays, counters)
-        self.diverged = bool(counters["diverged"])
+        self._diverged[0] = bool(counters["diverged"])
 
     def restore_learned(self, arrays: Arrays) -> None:
         """Take over saved weights."""
@@ -192,54 +220,42 @@ class GQ(LinearQ):
 
 
 @njit(cache=True)
-def bases(x, centres):  # type: ignore[no-untyped-def]
+def bases(learner, x):  # type: ignore[no-untyped-def]
     """Return phi(s), (M,)."""
-    phi = np.empty(centres.shape[0])
+    z = x / learner.bandwidth
+    phi = np.empty(learner.centres.shape[0])
     for i in range(phi.size):
-        phi[i] = radial(x, centres[i], 1.0)
+        phi[i] = radial(z, learner.centres[i], 1.0)
     return phi
 
 
 @njit(cache=True)
-def linear_values(weights, centres, points):  # type: ignore[no-untyped-def]
-    """Return the values (n, A) at points (n, D)."""
-    values = np.empty((points.shape[0], weights.shape[0]))
-    for i in range(points.shape[0]):
-        values[i] = np.dot(weights, bases(points[i], centres))
-    return values
+def linear_values(learner, x):  # type: ignore[no-untyped-def]
+    """Return w_a' phi(s) of every action, (A,)."""
+    return np.dot(learner.weights, bases(learner, x))
 
 
 @njit(cache=True)
-def learn_linear(  # type: ignore[no-untyped-def]
-    weights,
-    correction,
-    centres,
-    points,
-    actions,
-    rewards,
-    next_points,
-    terminated,
-    discount,
-    initial_rate,
-    exponent,
-    correction_rate,
-    steps,
-):
-    """Learn transitions in order; return the mean |delta|, or the one with which it diverged."""
-    total = 0.0
-    for i in range(actions.size):
-        a, rate = actions[i], learning_rate(initial_rate, exponent, steps + i)
-        phi, phi_t = bases(points[i], centres), bases(next_points[i], centres)
-        values = np.dot(weights, phi_t)
-        greedy = values.argmax()
-        gamma = 0.0 if terminated[i] else discount
-        delta = rewards[i] + gamma * values[greedy] - np.dot(weights[a], phi)
-        if not abs(delta) <= LARGEST_ERROR:
-            return np.inf
-        if correction_rate > 0.0:
-            expected = np.dot(correction[a], phi)
-            weights[greedy] -= rate * gamma * expected * phi_t
-            correction[a] += correction_rate * rate * (delta - expected) * phi
-        weights[a] += rate * delta * phi
-        total += abs(delta)
-    return total / actions.size
+def learn_weights(learner, x, a, r, x_t, terminated, t):  # type: ignore[no-untyped-def]
+    """Take a semi-gradient step, corrected where the second weight vector is learned."""
+    if learner.diverged[0]:
+        return 0.0
+    w, v = learner.weights, learner.correction
+    rate = learning_rate(learner.initial_rate, learner.rate_exponent, t)
+    phi, phi_t = bases(learner, x), bases(learner, x_t)
+    values = np.dot(w, phi_t)
+    greedy = values.argmax()
+    gamma = 0.0 if terminated else learner.discount
+    delta = r + gamma * values[greedy] - np.dot(w[a], phi)
+    if not abs(delta) <= LARGEST_ERROR:
+        learner.diverged[0] = True
+        return 0.0
+    w[a] += rate * delta * phi
+    if learner.correction_rate > 0.0:
+        expected = np.dot(v[a], phi)
+        w[greedy] -= rate * gamma * expected * phi_t
+        v[a] += learner.correction_rate * rate * (delta - expected) * phi
+    return abs(delta)
+
+
+register(Weights, linear_values, learn_weights)

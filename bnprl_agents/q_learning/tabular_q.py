@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
 from numba import njit
 
 from bnprl_agents.agent import Metrics
+from bnprl_agents.compiled_values import CompiledValueAgent, register
 from bnprl_agents.episodes import FloatArray, IntArray
 from bnprl_agents.policy_files import Arrays
 from bnprl_agents.q_learning.schedule import check_schedules, learning_rate
-from bnprl_agents.value_learner import Transitions, ValueAgent, taken
+from bnprl_agents.value_learner import taken
+
+MOST_CELLS = 10**7
+"""Largest table."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +45,29 @@ class TabularQConfig:
             raise ValueError(f"bins: {self.bins}, must be at least 1")
 
 
-class TabularQ(ValueAgent):
+class Table(NamedTuple):
+    """Everything that the compiled functions read and change.
+
+    Attributes:
+        values: (cells, A).
+        scale: (D,) cells of each dimension for a unit of the point.
+        largest: (D,) the last cell of each dimension.
+        stride: (D,) cells from one cell of each dimension to the next.
+        discount: gamma.
+        initial_rate: c of the learning rate c / t^a.
+        rate_exponent: a.
+    """
+
+    values: FloatArray
+    scale: FloatArray
+    largest: IntArray
+    stride: IntArray
+    discount: float
+    initial_rate: float
+    rate_exponent: float
+
+
+class TabularQ(CompiledValueAgent):
     """Q-learning (Watkins 1989) whose table has a row for each cell of the state.
 
     Paper: dissertation, section 3.5 and appendix 3.7.1 (QL-tab).
@@ -64,52 +90,52 @@ class TabularQ(ValueAgent):
         seed: int,
     ) -> None:
         super().__init__(observation_space, action_space, config, discount=discount, seed=seed)
-        self._discrete = isinstance(observation_space, gym.spaces.Discrete)
-        self._one_hot = self._discrete and not self.config.grid_columns
-        n_cells = (
-            int(observation_space.n)
-            if self._discrete
-            else self.config.bins**self.features.dimensions
-        )
-        if n_cells > 10**7:
-            raise ValueError(
-                f"bins: {self.config.bins} in {self.features.dimensions} dimensions make "
-                f"{n_cells:,} cells, must be at most 10,000,000"
-            )
+        self._scale, self._largest, self._stride = self._division(observation_space)
+        n_cells = int(self._largest @ self._stride) + 1
         self.table = np.zeros((n_cells, self.n_actions))
 
-    def values(self, points: FloatArray) -> FloatArray:
-        """Return the rows (n, A) of the cells of points (n, D)."""
-        rows: FloatArray = self.table[self.cells(points)]
-        return rows
-
-    def cells(self, points: FloatArray) -> IntArray:
-        """Return the cells (n,) of points (n, D)."""
-        if self._one_hot:
-            return points.argmax(axis=1)
-        if self._discrete:
-            grid = points.astype(np.int64)
-            return grid[:, 0] * self.config.grid_columns + grid[:, 1]
-        bins = self.config.bins
-        index = np.clip((points * bins).astype(np.int64), 0, bins - 1)
-        cells: IntArray = index @ bins ** np.arange(self.features.dimensions)
-        return cells
-
-    def learn(self, transitions: Transitions) -> Metrics:
-        """Q(s, a) += rate (r + gamma max_b Q(s', b) - Q(s, a)), one after the other."""
-        error = learn_table(
+    @property
+    def learner(self) -> Table:
+        """The table as it stands."""
+        return Table(
             self.table,
-            self.cells(transitions.points),
-            transitions.actions,
-            transitions.rewards,
-            self.cells(transitions.next_points),
-            transitions.terminated,
+            self._scale,
+            self._largest,
+            self._stride,
             self.discount,
             self.config.initial_rate,
             self.config.rate_exponent,
-            self.steps,
         )
-        return {"td_error": float(error), "exploring": self.exploring_probability()}
+
+    def values(self, points: FloatArray) -> FloatArray:
+        """Return the rows (n, A) of the cells of points (n, D)."""
+        return self.behaviour_values(points)
+
+    def report(self, error: float) -> Metrics:
+        """Report errors and the exploration."""
+        return {"td_error": error, "exploring": self.exploring_probability()}
+
+    def _division(self, space: gym.Space[Any]) -> tuple[FloatArray, IntArray, IntArray]:
+        """Return scale, largest cell and stride (D,) of every dimension."""
+        dimensions = self.features.dimensions
+        if not isinstance(space, gym.spaces.Discrete):
+            bins = self.config.bins
+            if bins**dimensions > MOST_CELLS:
+                raise ValueError(
+                    f"bins: {bins} in {dimensions} dimensions are more than {MOST_CELLS:,} cells"
+                )
+            return (
+                np.full(dimensions, float(bins)),
+                np.full(dimensions, bins - 1),
+                bins ** np.arange(dimensions),
+            )
+        cells = self.features.points.max(axis=0).astype(np.int64)
+        stride = (
+            np.array([self.config.grid_columns, 1])
+            if self.config.grid_columns
+            else np.arange(dimensions)
+        )
+        return np.ones(dimensions), cells, stride
 
     def learned_arrays(self) -> Arrays:
         """The table."""
@@ -121,16 +147,30 @@ class TabularQ(ValueAgent):
 
 
 @njit(cache=True)
-def learn_table(  # type: ignore[no-untyped-def]
-    table, cells, actions, rewards, next_cells, terminated, discount, initial_rate, exponent, steps
-):
-    """Learn transitions in order; return the mean of |delta|."""
-    total = 0.0
-    for i in range(actions.size):
-        y = rewards[i]
-        if not terminated[i]:
-            y += discount * table[next_cells[i]].max()
-        delta = y - table[cells[i], actions[i]]
-        table[cells[i], actions[i]] += learning_rate(initial_rate, exponent, steps + i) * delta
-        total += abs(delta)
-    return total / actions.size
+def cell(table, x):  # type: ignore[no-untyped-def]
+    """Return the cell of a point (D,)."""
+    number = 0
+    for d in range(x.size):
+        index = min(max(int(np.floor(x[d] * table.scale[d])), 0), table.largest[d])
+        number += index * table.stride[d]
+    return number
+
+
+@njit(cache=True)
+def row(table, x):  # type: ignore[no-untyped-def]
+    """Return the values (A,) at a point."""
+    return table.values[cell(table, x)]
+
+
+@njit(cache=True)
+def learn_cell(table, x, a, r, x_t, terminated, t):  # type: ignore[no-untyped-def]
+    """Q(s, a) += rate (r + gamma max_b Q(s', b) - Q(s, a))."""
+    y = r
+    if not terminated:
+        y += table.discount * row(table, x_t).max()
+    delta = y - row(table, x)[a]
+    row(table, x)[a] += learning_rate(table.initial_rate, table.rate_exponent, t) * delta
+    return abs(delta)
+
+
+register(Table, row, learn_cell)
