@@ -126,6 +126,27 @@ class Compare:
 
 
 @dataclass(frozen=True)
+class Reproduce:
+    """Reproduce a table or figure of the source; `bnprl list experiments` names them.
+
+    A command that was interrupted goes on when it is given again.
+    """
+
+    name: Positional[str]
+    """Experiment."""
+    quick: bool = False
+    """Few seeds and steps: two minutes on two cores."""
+    out: Path | None = None
+    """Folder for the records, the figure and the tables; below results/ if not given."""
+    jobs: int | None = None
+    """Runs at the same time; as many as cores if not given."""
+    engine: Literal["joblib", "ray", "dask"] = "joblib"
+    """What spreads the runs: processes here, or a cluster of Ray or Dask."""
+    progress: Progress = True
+    """Show a progress bar."""
+
+
+@dataclass(frozen=True)
 class Report:
     """Make the tables, the curves and the page again from the records."""
 
@@ -211,6 +232,7 @@ def _parse(given: list[str]) -> Any:
         "train": _train_with_settings(given) if given[:1] == ["train"] else Train,
         "evaluate": Evaluate,
         "compare": Compare,
+        "reproduce": Reproduce,
         "report": Report,
         "bounds": Bounds,
         "watch": Watch,
@@ -258,6 +280,11 @@ def _run(command: Any, given: list[str]) -> int:
 
         return watch(command)
     from baselines import commands  # imports the packages
+
+    if isinstance(command, Reproduce):
+        from baselines.reproduce import reproduce
+
+        return reproduce(command, given)
 
     if isinstance(command, ListNames):
         return commands.list_names(command.what)

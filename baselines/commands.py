@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import contextlib
 import importlib.util
 import logging
@@ -12,6 +11,10 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+from tqdm import tqdm
+
+from baselines import reproduction
 from baselines.contenders import (
     CONTENDERS,
     EXTRA_MODULES,
@@ -42,23 +45,13 @@ def list_names(what: str) -> int:
     elif what == "agents":
         rows = [(name, contender.summary) for name, contender in CONTENDERS.items()]
     else:
-        rows = _experiments()
+        rows = [(n, reproduction.summary(path)) for n, path in reproduction.names().items()]
     if not rows:
         print(f"There are no {what} yet.")
     width = max((len(name) for name, _ in rows), default=0)
     for name, summary in rows:
         print(f"{name:<{width}}  {summary}")
     return 0
-
-
-def _experiments() -> list[tuple[str, str]]:
-    """Read name and first line of the ready-made experiments without running them."""
-    folder = Path(__file__).parent / "experiments"
-    rows = []
-    for path in sorted(folder.glob("[a-z]*.py")):
-        text = ast.get_docstring(ast.parse(path.read_text())) or ""
-        rows.append((path.stem.replace("_", "-"), text.partition("\n")[0]))
-    return rows
 
 
 def train(options: Train, given: Sequence[str]) -> int:
@@ -75,9 +68,16 @@ def train(options: Train, given: Sequence[str]) -> int:
             eval_points=options.eval_points,
         )
         if entry.learner.family == "sb3":
-            _check_sb3(experiment, entry)
-        _try_out(experiment, entry, "--reward-shift ")
-    return _conduct(experiment, options, given, jobs=1, engine="joblib")
+            check_sb3(experiment, entry)
+        try_out(experiment, entry, "--reward-shift ")
+    return conduct(
+        experiment,
+        options.out,
+        given,
+        jobs=1,
+        tensorboard=options.tensorboard,
+        progress=options.progress,
+    )
 
 
 def compare(options: Compare, given: Sequence[str]) -> int:
@@ -97,10 +97,18 @@ def compare(options: Compare, given: Sequence[str]) -> int:
         )
         for entry in experiment.entries:
             if entry.learner.family == "sb3":
-                _check_sb3(experiment, entry)
+                check_sb3(experiment, entry)
             else:
-                _try_out(experiment, entry, f"--set {entry.name}.reward_shift=")
-    return _conduct(experiment, options, given, jobs=options.jobs, engine=options.engine)
+                try_out(experiment, entry, f"--set {entry.name}.reward_shift=")
+    return conduct(
+        experiment,
+        options.out,
+        given,
+        jobs=options.jobs,
+        engine=options.engine,
+        tensorboard=options.tensorboard,
+        progress=options.progress,
+    )
 
 
 def environment_of(id: str) -> EnvironmentSpec:
@@ -115,7 +123,7 @@ def environment_of(id: str) -> EnvironmentSpec:
     return environment
 
 
-def _try_out(experiment: Experiment, entry: Entry, flag: str) -> None:
+def try_out(experiment: Experiment, entry: Entry, flag: str) -> None:
     """Build a learner once, so that what it cannot do is said before anything is written.
 
     Raises:
@@ -130,7 +138,7 @@ def _try_out(experiment: Experiment, entry: Entry, flag: str) -> None:
         ) from error
 
 
-def _check_sb3(experiment: Experiment, entry: Entry) -> None:
+def check_sb3(experiment: Experiment, entry: Entry) -> None:
     """Check what Stable-Baselines3's learners need without importing them: that takes seconds.
 
     Raises:
@@ -154,20 +162,21 @@ def _check_sb3(experiment: Experiment, entry: Entry) -> None:
             raise MissingExtraError(f'{module} is not installed: pip install "bnprl[baselines]"')
 
 
-def _conduct(
+def conduct(
     experiment: Experiment,
-    options: Train | Compare,
+    folder: Path,
     given: Sequence[str],
     *,
-    jobs: int | None,
-    engine: str,
+    jobs: int | None = None,
+    engine: str = "joblib",
+    tensorboard: bool = False,
+    progress: bool = True,
 ) -> int:
-    """Run an experiment in its folder and report it."""
+    """Run an experiment in its folder and report it; return the exit code."""
     import joblib
 
     from baselines.execution import execute
 
-    folder = options.out
     with _locked(folder):
         with usage_errors():
             open_study(folder, experiment, shlex.join(["bnprl", *given]))
@@ -177,8 +186,8 @@ def _conduct(
                 folder,
                 jobs=joblib.cpu_count() if jobs is None else jobs,
                 engine=engine,
-                tensorboard=options.tensorboard,
-                progress=options.progress,
+                tensorboard=tensorboard,
+                progress=progress,
             )
         _report(folder)
         _name_idle(experiment, folder)
@@ -235,3 +244,83 @@ def _report(folder: Path) -> None:
         summary = write_report(folder)
     print_table(table(summary))
     print(f"report: {folder / 'report.html'}")
+        written = write_report(folder)
+    print_table(table(written))
+    print(f"report: {folder / 'report.html'}")
+
+
+def evaluate_policies(options: Evaluate) -> int:
+    """Evaluate the policies of a folder, or one policy file."""
+    with usage_errors():
+        if options.episodes < 1:
+            raise ValueError(f"--episodes: {options.episodes}, must be at least 1")
+        if options.seed < 0:
+            raise ValueError(f"--seed: {options.seed}, must be at least 0")
+        environment, policies = _find_policies(options)
+        results: dict[str, list[Evaluation]] = {}
+        for name, path in tqdm(policies, unit=" policies", disable=not options.progress, delay=1):
+            policy = load_policy(path)
+            seed = np.random.SeedSequence([options.seed, len(results.get(name, []))])
+            result = evaluate(policy, environment, episodes=options.episodes, seed=seed)
+            results.setdefault(name, []).append(result)
+    rows = [_evaluation_row(name, found, options) for name, found in results.items()]
+    print(f"{environment.id}: mean discounted return")
+    print_table([["policy", "mean", "95% interval", "over", "exact"], *rows])
+    return 0
+
+
+def _find_policies(options: Evaluate) -> tuple[EnvironmentSpec, list[tuple[str, Path]]]:
+    """Return the environment and (label, file) of each policy."""
+    target = options.target
+    if not target.exists():
+        raise ValueError(f"{target}: no such file or folder")
+    if target.is_file():
+        load_policy(target)  # what is wrong with the file is said first
+        if options.env is not None:
+            return _environment(options.env), [(target.name, target)]
+        folder = target.resolve().parent.parent.parent
+        if not (folder / "experiment.json").is_file():
+            raise ValueError(f"{target}: lies in no experiment's folder; name it with --env ID")
+        return load_study(folder).experiment.environment, [(target.name, target)]
+    experiment = load_study(target).experiment
+    runs = (
+        RunFiles(target, entry.name, index)
+        for entry in experiment.entries
+        for index in range(experiment.seeds)
+    )
+    found = [(files.contender, files.find_policy()) for files in runs]
+    policies = [(name, path) for name, path in found if path is not None]
+    if not policies:
+        raise ValueError(f"{target}: holds no policy yet")
+    environment = experiment.environment if options.env is None else _environment(options.env)
+    return environment, policies
+
+
+def _evaluation_row(name: str, results: Sequence[Evaluation], options: Evaluate) -> list[str]:
+    """Return the cells of one contender: over its seeds, or one policy over episodes."""
+    if len(results) == 1:
+        values, over = results[0].returns, f"{options.episodes:,} episodes"
+    else:
+        values, over = np.array([r.returns.mean() for r in results]), f"{len(results)} seeds"
+    interval = mean_interval(values, seed=options.seed)
+    exact = [result.exact for result in results if result.exact is not None]
+    low, high = number(interval.low, ".4f"), number(interval.high, ".4f")
+    return [
+        name,
+        number(interval.mean, ".4f"),
+        DASH if interval.low is None else f"{low} to {high}",
+        over,
+        number(sum(exact) / len(exact) if exact else None, ".4f"),
+    ]
+
+
+def print_table(rows: Iterable[Sequence[str]]) -> None:
+    """Print cells in columns, numbers to the right."""
+    rows = list(rows)
+    widths = [max(len(cell) for cell in column) for column in zip(*rows, strict=True)]
+    for row in rows:
+        first, *others = (
+            cell.ljust(width) if index == 0 else cell.rjust(width)
+            for index, (cell, width) in enumerate(zip(row, widths, strict=True))
+        )
+        print("  ".join([first, *others]).rstrip())

@@ -43,8 +43,8 @@ class GPFittedQConfig:
     initial_value: float = 0.0
     """Q before the first fit."""
     bandwidth: tuple[float, ...] = (0.1,)
-    """Of the kernel, one for all dimensions or one for each: in shares of a Box's range, or in cells
-    of a grid. With joint inputs the action is one more dimension, counted 0, 1, 2, ..."""
+    """Of the kernel, one for all dimensions or one for each: in shares of a Box's range, or in
+    cells of a grid. With joint inputs the action is one more dimension, counted 0, 1, 2, ..."""
     amplitude: float = 1.0
     """Prior variance of the values, whose prior mean is 0."""
     inputs: Literal["per-action", "joint"] = "per-action"

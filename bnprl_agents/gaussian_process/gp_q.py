@@ -46,8 +46,8 @@ class GPQConfig:
     budget: int = 100
     """Largest number of basis points of each process."""
     bandwidth: tuple[float, ...] = (0.1,)
-    """Of the kernel, one for all dimensions or one for each: in shares of a Box's range, or in cells
-    of a grid. With joint inputs the action is one more dimension, counted 0, 1, 2, ..."""
+    """Of the kernel, one for all dimensions or one for each: in shares of a Box's range, or in
+    cells of a grid. With joint inputs the action is one more dimension, counted 0, 1, 2, ..."""
     amplitude: float = 1.0
     """Prior variance of the values, whose prior mean is 0."""
     noise: float = 0.1

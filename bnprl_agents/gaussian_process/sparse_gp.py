@@ -1,7 +1,8 @@
 """Sparse online Gaussian process (Csato and Opper 2002): one point at a time, within a budget.
 
-The posterior of the prior N(0, k) is kept as mean k(x)' alpha and covariance k(x, z) + k(x)' C k(z),
-k(x) being the kernel between x and m basis points. P = K^-1 tells how new a point is.
+The posterior of the prior N(0, k) is kept as mean k(x)' alpha and covariance
+k(x, z) + k(x)' C k(z), k(x) being the kernel between x and m basis points. P = K^-1 tells how new
+a point is.
 """
 
 from __future__ import annotations

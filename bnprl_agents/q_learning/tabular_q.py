@@ -33,7 +33,7 @@ class TabularQConfig:
     exploration_exponent: float = 0.3
     """b of the exploring probability t^-b at the t-th step."""
     low: tuple[float, ...] = ()
-    """Lower ends of the range of a Box that is divided; (): its own. Beyond, the last cell goes on."""
+    """Lower ends of the range of a Box that is divided; (): its own. Outer cells go on beyond."""
     high: tuple[float, ...] = ()
     """Upper ends."""
     grid_columns: int = 0
