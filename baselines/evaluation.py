@@ -124,8 +124,9 @@ def _simulate_compiled(
 
 def _greedy_value(policy: Any, model: TabularModel | None, deterministic: bool) -> float | None:
     """Return the exact value of a policy that is greedy by the values of states."""
-    known = model is not None and model.fully_observed and model.discount < 1.0
-    if not known or deterministic or not hasattr(policy, "greedy_policy"):
+    if model is None or not model.fully_observed or model.discount == 1.0:
+        return None
+    if deterministic or not hasattr(policy, "greedy_policy"):
         return None
     from bnprl_envs.planning import policy_value
 

@@ -68,7 +68,7 @@ def write(name: str, reproduction: Reproduction, folder: Path, quick: bool) -> N
     from baselines.figures import draw  # imports matplotlib
 
     lines = [panel_lines(panel, folder, quick) for panel in reproduction.panels]
-    tables = [
+    tables: list[dict[str, Any]] = [
         {"name": panel.name, "title": panel.title, "measure": _label(panel), "rows": rows}
         for panel, found in zip(reproduction.panels, lines, strict=True)
         for rows in [panel_rows(panel, found, quick)]

@@ -71,7 +71,8 @@ class Features:
             ValueError: one is not finite, has another shape or lies outside a Discrete space.
         """
         if isinstance(self.space, gym.spaces.Discrete):
-            return self.points[self._cells(observation, self.space)]
+            rows: FloatArray = self.points[self._cells(observation, self.space)]
+            return rows
         array = np.asarray(observation, dtype=np.float64).reshape(-1, self.dimensions)
         if not np.isfinite(array).all():
             raise ValueError(f"observation: {array[~np.isfinite(array)][0]}, must be finite")

@@ -72,6 +72,7 @@ class ValueAgent(Agent):
             bounded=self.bounded,
         )
         self.n_actions = int(action_space.n)
+        self._first_action = int(action_space.start)
         self.steps = 0
         self._points = np.zeros((0, self.features.dimensions))
         self._pending: list[Transitions] = []
@@ -204,13 +205,13 @@ class ValueAgent(Agent):
         self.restore_learned(arrays)
 
     def _indices(self, action: Any) -> IntArray:
-        indices = np.atleast_1d(np.asarray(action)).astype(np.int64) - int(self.action_space.start)
+        indices: IntArray = np.atleast_1d(np.asarray(action)).astype(np.int64) - self._first_action
         if ((indices < 0) | (indices >= self.n_actions)).any():
             raise ValueError(f"action: {action} lies outside {self.action_space}")
         return indices
 
     def _external(self, indices: IntArray, observation: Any) -> Any:
-        actions = indices + int(self.action_space.start)
+        actions = indices + self._first_action
         return actions if self.features.batched(observation) else int(actions[0])
 
     def _require_alive(self) -> None:

@@ -5,6 +5,8 @@ Three nodes, all rewards 0, discount .9999, Q begun at 1, kernel of bandwidth 1 
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 
 from baselines.reproduction import Computation, Lines, Reproduction
@@ -13,7 +15,7 @@ from bnprl_agents.gaussian_process.kernels import RadialKernel
 from bnprl_envs.benchmarks.three_nodes import NODE_POSITIONS, three_nodes
 
 SWEEPS = 100
-REGULARIZATIONS = (0.1, 1.0, "auto")
+REGULARIZATIONS: tuple[float | Literal["auto"], ...] = (0.1, 1.0, "auto")
 
 
 def largest_errors(quick: bool) -> Lines:

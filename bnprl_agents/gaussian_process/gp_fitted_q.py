@@ -130,8 +130,10 @@ class FittedProcess:
         if self._joint:
             left = np.column_stack([points, actions])
             return self._kernel(left, np.column_stack([self._points, self._actions]))
-        same = actions[:, None] == self._actions[None]
-        return self._kernel(points, self._points) * same
+        masked: FloatArray = self._kernel(points, self._points) * (
+            actions[:, None] == self._actions[None]
+        )
+        return masked
 
 
 class Fit:

@@ -40,7 +40,8 @@ class RadialKernel:
 
     def __call__(self, x: npt.ArrayLike, z: npt.ArrayLike) -> FloatArray:
         """Return the matrix (n, m) of the kernel between points (n, D) and (m, D)."""
-        return gram(self.scaled(x), self.scaled(z), self.amplitude)
+        matrix: FloatArray = gram(self.scaled(x), self.scaled(z), self.amplitude)
+        return matrix
 
 
 def broadcast_bandwidth(bandwidth: Sequence[float], dimensions: int) -> tuple[float, ...]:

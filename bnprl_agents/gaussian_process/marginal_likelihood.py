@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import cho_factor, cho_solve
@@ -69,9 +71,10 @@ def select_hyperparameters(
         parts = [
             log_marginal_likelihood(*parameters(logs), points[own], target[own]) for own in members
         ]
-        return -sum(value for value, _ in parts), -sum(gradient for _, gradient in parts)
+        gradient: FloatArray = -np.sum([gradient for _, gradient in parts], axis=0)
+        return -sum(value for value, _ in parts), gradient
 
     begin = np.log([*kernel.bandwidth, kernel.amplitude, noise])
-    bounds = np.stack([begin - RANGE, begin + RANGE], axis=1)
-    found = minimize(loss, begin, jac=True, method="L-BFGS-B", bounds=bounds)
+    bounds = [(log - RANGE, log + RANGE) for log in begin.tolist()]
+    found: Any = minimize(loss, begin, jac=True, method="L-BFGS-B", bounds=bounds)
     return parameters(found.x)

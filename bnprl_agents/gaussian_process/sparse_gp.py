@@ -109,7 +109,8 @@ class SparseGP:
     @property
     def points(self) -> FloatArray:
         """The basis points (m, D)."""
-        return self.basis.points[: len(self)] * np.array(self.kernel.bandwidth)
+        points: FloatArray = self.basis.points[: len(self)] * np.array(self.kernel.bandwidth)
+        return points
 
     @property
     def weights(self) -> FloatArray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import gymnasium as gym
 import numpy as np
@@ -112,7 +112,7 @@ class LinearQ(CompiledValueAgent):
         correction: (A, M) the second weight vector; always 0 here, see `GQ`.
     """
 
-    Config: Any = LinearQConfig
+    Config: ClassVar[type[Any]] = LinearQConfig
     config: LinearQConfig
     bounded = True
 
@@ -177,7 +177,9 @@ class LinearQ(CompiledValueAgent):
             return self.features.points
         bases, dimensions = self.config.bases, self.features.dimensions
         if bases**dimensions > MOST_BASES:
-            raise ValueError(f"bases: {bases} in {dimensions} dimensions, must be {MOST_BASES:,}")
+            raise ValueError(
+                f"bases: {bases} in {dimensions} dimensions are more than {MOST_BASES:,}"
+            )
         axis = np.linspace(0.0, 1.0, bases) if bases > 1 else np.array([0.5])
         return np.array(list(itertools.product(axis, repeat=dimensions)))
 

@@ -318,7 +318,7 @@ def test_features():
     assert cells(np.array([1, 5])).tolist() == [[0.0, 0.0], [1.0, 1.0]]
     assert Features(gym.spaces.Discrete(3))(2).tolist() == [[0.0, 0.0, 1.0]]
     for arguments in ({"low": (1.0, 1.0)}, {"low": (0.0,)}, {"grid_columns": 2}):
-        with pytest.raises(ValueError, match="low|grid_columns"):
+        with pytest.raises(ValueError, match=r"low|grid_columns"):
             Features(SQUARE, **arguments)
     with pytest.raises(ValueError, match="must be an integer"):
         cells(1.5)
