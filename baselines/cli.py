@@ -155,6 +155,18 @@ class Report:
 
 
 @dataclass(frozen=True)
+class Plot:
+    """Draw learned action values over the plane of the states, their uncertainty and the policy."""
+
+    file: Positional[Path]
+    """Policy file, below runs/ in a folder that `train`, `compare` or `reproduce` wrote."""
+    out: Path | None = None
+    """Picture (PNG); beside the policy file if not given."""
+    env: str | None = None
+    """Environment id, for a policy file outside such a folder."""
+
+
+@dataclass(frozen=True)
 class Bounds:
     """Compute how good an answer can be: simple policies, upper and lower bounds of the optimum."""
 
@@ -234,6 +246,7 @@ def _parse(given: list[str]) -> Any:
         "compare": Compare,
         "reproduce": Reproduce,
         "report": Report,
+        "plot": Plot,
         "bounds": Bounds,
         "watch": Watch,
     }
@@ -281,6 +294,10 @@ def _run(command: Any, given: list[str]) -> int:
         return watch(command)
     from baselines import commands  # imports the packages
 
+    if isinstance(command, Plot):
+        from baselines.plot import plot
+
+        return plot(command)
     if isinstance(command, Reproduce):
         from baselines.reproduce import reproduce
 
