@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 
 from baselines.curves import COLOURS, dress
 from bnprl_agents.gaussian_process.gp_q import GPQ
@@ -96,7 +98,16 @@ def draw_values(agent: ValueAgent, *, compass: bool, title: str) -> bytes:
         for action, basis in enumerate(agent.basis_points()):
             place = plane.placed(basis[:, :2])
             for axes in every[:2]:
-                axes.plot(*place, ".", ms=5, mec=INK, mew=0.4, color=COLOURS[action % len(COLOURS)])
+                axes.plot(
+                    *place,
+                    ".",
+                    scalex=False,
+                    scaley=False,
+                    ms=5,
+                    mec=INK,
+                    mew=0.4,
+                    color=COLOURS[action % len(COLOURS)],
+                )
     _draw_policy(every[-1], plane, agent, compass)
     for axes in every:
         dress(axes, INK, PAPER)
@@ -117,12 +128,13 @@ def _draw_map(
 ) -> None:
     origin: Any = "upper" if plane.is_grid else "lower"
     image = axes.imshow(values, extent=plane.extent, origin=origin, aspect="auto", cmap=colours)
+    axes.set(xlim=plane.extent[:2], ylim=plane.extent[2:])
     figure.colorbar(image, ax=axes)
     axes.set_title(label, color=INK, fontsize=11)
 
 
 def _draw_policy(axes: Axes, plane: Plane, agent: ValueAgent, compass: bool) -> None:
-    points, x, _ = plane.mesh(ARROWS if compass else RESOLUTION)
+    points, x, y = plane.mesh(ARROWS if compass else RESOLUTION)
     best = agent.values(points).argmax(axis=1)
     axes.set_title("greedy policy", color=INK, fontsize=11)
     if compass:
@@ -131,8 +143,16 @@ def _draw_policy(axes: Axes, plane: Plane, agent: ValueAgent, compass: bool) -> 
         axes.quiver(*where, *direction.T, pivot="mid", scale=1.2 * len(x), width=0.006, color=INK)
         axes.set(xlim=plane.extent[:2], ylim=plane.extent[2:])
         return
-    for action in range(agent.n_actions):
-        colour = COLOURS[action % len(COLOURS)]
-        chosen = best == action
-        axes.plot(*plane.placed(points[chosen]), "s", ms=4, color=colour, label=f"action {action}")
-    axes.legend(frameon=True, fontsize=9, loc="upper right")
+    colours = ListedColormap([COLOURS[a % len(COLOURS)] for a in range(agent.n_actions)])
+    origin: Any = "upper" if plane.is_grid else "lower"
+    axes.imshow(
+        best.reshape(len(y), len(x)),
+        extent=plane.extent,
+        origin=origin,
+        aspect="auto",
+        cmap=colours,
+        vmin=-0.5,
+        vmax=agent.n_actions - 0.5,
+    )
+    handles = [Patch(color=colours(a), label=f"action {a}") for a in range(agent.n_actions)]
+    axes.legend(handles=handles, frameon=True, fontsize=9, loc="upper right")

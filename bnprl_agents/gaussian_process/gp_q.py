@@ -21,6 +21,7 @@ from bnprl_agents.gaussian_process.marginal_likelihood import select_hyperparame
 from bnprl_agents.gaussian_process.sparse_gp import (
     TOLERANCE_FLOOR,
     Basis,
+    check_forgetting,
     check_sparsity,
     empty_basis,
     mean,
@@ -41,7 +42,7 @@ class GPQConfig:
     exploration: Literal["epsilon", "optimistic"] = "epsilon"
     """epsilon: random actions now and then. optimistic: greedy on mean + 2 variances, which are
     backed up too."""
-    exploration_exponent: float = 0.5
+    exploration_exponent: float = 0.3
     """b of the exploring probability t^-b at the t-th step; of no use to the optimist."""
     budget: int = 100
     """Largest number of basis points of each process."""
@@ -54,6 +55,9 @@ class GPQConfig:
     """Variance of the measurements r + gamma max Q; it regularises."""
     tolerance: float = 1e-3
     """Novelty, as a share of the amplitude, above which a point joins the basis."""
+    forgetting: float = 1.0
+    """Factor by which a process forgets before each measurement (its C shrinks, its variance grows
+    back); 1, the source's, never: later targets then weigh as little as the first, wrong ones."""
     inputs: Literal["per-action", "joint"] = "per-action"
     """per-action: a process for each action, over the states. joint: one over both."""
     select_after: int = 0
@@ -79,6 +83,7 @@ class GPQConfig:
         check_positive("amplitude", self.amplitude)
         check_positive("noise", self.noise)
         check_sparsity(self.budget, self.tolerance)
+        check_forgetting(self.forgetting)
         if self.select_after < 0:
             raise ValueError(f"select_after: {self.select_after}, must not be negative")
 
@@ -99,6 +104,7 @@ class Prior(NamedTuple):
         noise: variance of a measurement.
         tolerance: novelty that a basis point needs.
         budget: basis points at most.
+        forgetting: factor of C before each measurement.
     """
 
     bandwidth: FloatArray
@@ -106,6 +112,7 @@ class Prior(NamedTuple):
     noise: float
     tolerance: float
     budget: int
+    forgetting: float
 
 
 class Inputs(NamedTuple):
@@ -180,6 +187,7 @@ class GPQ(CompiledValueAgent):
             self.config.noise,
             max(self.config.tolerance, TOLERANCE_FLOOR),
             self.config.budget,
+            self.config.forgetting,
         )
         self.basis = self._empty()
         self._kept: list[Transitions] = []
@@ -358,7 +366,17 @@ def learn_measurement(processes, x, a, r, x_t, terminated, t):  # type: ignore[n
         y += discount * action_values(processes, x_t).max()
     z = joined(x, inputs.code[a], prior.bandwidth)
     state = process(basis, inputs.owner[a])
-    return abs(update(state, z, y, prior.amplitude, prior.noise, prior.tolerance, prior.budget))
+    error = update(
+        state,
+        z,
+        y,
+        prior.amplitude,
+        prior.noise,
+        prior.tolerance,
+        prior.budget,
+        prior.forgetting,
+    )
+    return abs(error)
 
 
 register(Processes, action_values, learn_measurement)

@@ -79,10 +79,12 @@ class SparseGP:
         budget: largest number of basis points; None: no limit.
         tolerance: novelty, as a share of the prior variance, above which a point joins the
             basis; at least `TOLERANCE_FLOOR` is used.
+        forgetting: factor of C before each measurement: the posterior variance goes back towards
+            the prior's, so that newer measurements weigh more; 1: none.
 
     Raises:
         ValueError: the noise is not positive, the budget is below 1, or the tolerance is not in
-            [0, 1).
+            [0, 1), or the forgetting not in (0, 1].
     """
 
     def __init__(
@@ -91,12 +93,15 @@ class SparseGP:
         noise: float,
         budget: int | None = None,
         tolerance: float = 0.0,
+        forgetting: float = 1.0,
     ) -> None:
         check_positive("noise", noise)
+        check_forgetting(forgetting)
         check_sparsity(budget, tolerance)
         self.kernel = kernel
         self.noise = float(noise)
         self.budget = budget
+        self.forgetting = float(forgetting)
         self.tolerance = max(
             float(tolerance), UNLIMITED_FLOOR if budget is None else TOLERANCE_FLOOR
         )
@@ -151,6 +156,7 @@ class SparseGP:
             self.noise,
             self.tolerance,
             budget,
+            self.forgetting,
         )
 
     def predict(self, points: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
@@ -195,6 +201,16 @@ def check_sparsity(budget: int | None, tolerance: float) -> None:
         raise ValueError(f"tolerance: {tolerance}, must lie in [0, 1)")
 
 
+def check_forgetting(forgetting: float) -> None:
+    """Check a factor of forgetting.
+
+    Raises:
+        ValueError: it is not in (0, 1].
+    """
+    if not 0.0 < forgetting <= 1.0:
+        raise ValueError(f"forgetting: {forgetting}, must lie in (0, 1]")
+
+
 @njit(cache=True)
 def covariances(basis, x, amplitude):  # type: ignore[no-untyped-def]
     """Return the kernel (m,) between a point and the basis."""
@@ -236,11 +252,14 @@ def predict(basis, points, amplitude):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def update(basis, x, y, amplitude, noise, tolerance, budget):  # type: ignore[no-untyped-def]
+def update(basis, x, y, amplitude, noise, tolerance, budget, forgetting):  # type: ignore[no-untyped-def]
     """Learn one measurement y at x in place; return its error y - m(x) before.
 
     Needs capacity for one more basis point.
     """
+    if forgetting < 1.0:
+        m = basis.size[0]
+        basis.covariance[:m, :m] *= forgetting
     k = covariances(basis, x, amplitude)
     ck, projection = _times(basis.covariance, k), _times(basis.precision, k)
     spread = variance(basis, k, ck, amplitude)

@@ -197,6 +197,7 @@ def test_processes_do_not_need_bounds(case):
         (GPQConfig, {"noise": -1.0}),
         (GPQConfig, {"amplitude": np.inf}),
         (GPQConfig, {"budget": 0}),
+        (GPQConfig, {"forgetting": 0.0}),
         (GPQConfig, {"exploration": "greedy"}),
         (GPQConfig, {"exploration_exponent": -0.1}),
         (GPQConfig, {"select_after": -1}),
@@ -355,6 +356,8 @@ def learned_gridworld(case, seed, steps=2500):
     settings = {} if case == "tabular" else {"bandwidth": (0.5,)}
     if case == "optimistic":
         settings |= {"amplitude": 0.1, "budget": 25}
+    if case == "gpq":
+        settings |= {"budget": 25, "exploration_exponent": 0.1}
     agent = build(
         case,
         seed,

@@ -26,6 +26,9 @@ LAKE = EnvironmentSpec("FrozenLake-v1", {"discount": 0.9})
 SMALL: dict[str, dict[str, Any]] = {
     "online-em": {"nodes": 4, "batch_episodes": 10},
     "batch-em": {"nodes": 4, "batch_episodes": 10},
+    "gpq": {"budget": 20},
+    "gpq-optimistic": {"budget": 20},
+    "gp-fitted-q": {"capacity": 100, "sweeps": 20, "fit_every": 500},
     "dqn": {"n_envs": 4, "learning_starts": 100, "buffer_size": 2_000, "batch_size": 16},
     "ppo": {"n_envs": 4, "n_steps": 32, "batch_size": 64},
     "a2c": {"n_envs": 4},
