@@ -135,7 +135,7 @@ REPRODUCTION = Reproduction(
     ),
     notes=(
         "In the puddle world GPQ forgets (C shrinks by .99 before each measurement), which is not "
-        "in the source: without it, gpq-never-forgets, all targets weigh alike, and the first ones, "
+        "in the source: without it, gpq-never-forgets, all targets weigh alike, and the first, "
         "bootstrapped from nothing, hold the values back (discount .99, 36 steps to the goal).",
         "Every policy is evaluated greedily, apart from training.",
         "The source gives its figures as pictures, without numbers.",
