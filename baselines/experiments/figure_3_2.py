@@ -57,10 +57,10 @@ PUDDLES = (
     Entry(
         "gpq",
         "gpq",
-        GPQ_PUDDLES | {"exploration_exponent": 0.5, "forgetting": 0.99},
+        GPQ_PUDDLES | {"forgetting": 0.98},
     ),
-    Entry("gpq-optimistic", "gpq-optimistic", GPQ_PUDDLES | {"forgetting": 0.99}),
-    Entry("gpq-never-forgets", "gpq", GPQ_PUDDLES | {"exploration_exponent": 0.5}),
+    Entry("gpq-optimistic", "gpq-optimistic", GPQ_PUDDLES | {"forgetting": 0.98}),
+    Entry("gpq-never-forgets", "gpq", GPQ_PUDDLES),
     Entry(
         "tabular-q",
         "tabular-q",
@@ -124,7 +124,7 @@ REPRODUCTION = Reproduction(
             Experiment(
                 EnvironmentSpec("bnprl/PuddleWorld-v0"),
                 PUDDLES,
-                steps=40_000,
+                steps=60_000,
                 seeds=20,
                 eval_episodes=100,
                 eval_points=20,
@@ -134,7 +134,7 @@ REPRODUCTION = Reproduction(
         ),
     ),
     notes=(
-        "In the puddle world GPQ forgets (C shrinks by .99 before each measurement), which is not "
+        "In the puddle world GPQ forgets (C shrinks by .98 before each measurement), which is not "
         "in the source: without it, gpq-never-forgets, all targets weigh alike, and the first, "
         "bootstrapped from nothing, hold the values back (discount .99, 36 steps to the goal).",
         "Every policy is evaluated greedily, apart from training.",

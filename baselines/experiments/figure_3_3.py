@@ -1,4 +1,4 @@
-"""Figure 3.3: on Baird's star, where fixed bases diverge, online GPQ converges.
+"""Figure 3.3: on Baird's star, where fixed bases diverge, online GPQ does not.
 
 Both learn from the same behaviour, which takes the dashed action with probability 6/7, and begin
 with values that are not 0; all rewards are 0.
@@ -98,6 +98,7 @@ REPRODUCTION = Reproduction(
         ),
     ),
     notes=(
+        "GPQ's error falls slowly: every target weighs alike, and the first ones were 10.",
         "GPQ begins with one measurement of 10 in every state and action, so that it has something "
         "to forget; its prior mean is the solution.",
     ),

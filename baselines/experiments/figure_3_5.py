@@ -11,7 +11,7 @@ from baselines.reproduction import LENGTH, Comparison, Reproduction, learner_met
 EXPERIMENT = Experiment(
     EnvironmentSpec("bnprl/PuddleWorld-v0"),
     sized(PUDDLES, 20),
-    steps=40_000,
+    steps=60_000,
     seeds=20,
     eval_episodes=100,
     eval_points=20,

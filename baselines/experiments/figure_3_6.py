@@ -17,7 +17,7 @@ REPRODUCTION = Reproduction(
             Experiment(
                 EnvironmentSpec("bnprl/PuddleWorld-v0"),
                 sized(PUDDLES, side),
-                steps=40_000,
+                steps=60_000,
                 seeds=20,
                 eval_episodes=100,
                 eval_points=20,
