@@ -27,10 +27,10 @@ from bnprl_agents.search.simulator import TeamSimulator, simulator_of
 from bnprl_agents.training import Progress, train
 
 __all__ = [
-    "ActorCritic",
-    "ActorCriticConfig",
     "GPQ",
     "GQ",
+    "ActorCritic",
+    "ActorCriticConfig",
     "Agent",
     "BatchEM",
     "BatchEMConfig",

@@ -56,8 +56,8 @@ def train(
     own seeds; what it has under way when the budget ends is lost.
     Two pairs are compiled instead of stepping copies: a learner of controllers or belief policies
     in a tabular model (whole episodes are sampled), and a learner of action values that learns from
-    every step, with one copy, in a world of `bnprl_envs.worlds`. They agree with the stepped loop in
-    law.
+    every step, with one copy, in a world of `bnprl_envs.worlds`. They agree with the stepped loop
+    in law.
 
     Args:
         agent: learns in place.

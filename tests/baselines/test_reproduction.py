@@ -104,7 +104,8 @@ def test_the_star_diverges_on_fixed_bases_only():
     _, fixed = lines["Q-learning on fixed bases"]
     _, ours = lines["GPQ"]
     assert (fixed[:, -1] > 2 * fixed[:, 0]).all()
-    assert (np.diff(ours, axis=1) < 0.0).all()
+    assert (ours[:, -1] < ours[:, 0]).all()
+    assert (ours < 10.0).all()
 
 
 def test_plot_draws_values_and_refuses_what_has_none(tmp_path, capsys):
