@@ -11,9 +11,6 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-from tqdm import tqdm
-
 from baselines import reproduction
 from baselines.contenders import (
     CONTENDERS,
@@ -244,83 +241,3 @@ def _report(folder: Path) -> None:
         summary = write_report(folder)
     print_table(table(summary))
     print(f"report: {folder / 'report.html'}")
-        written = write_report(folder)
-    print_table(table(written))
-    print(f"report: {folder / 'report.html'}")
-
-
-def evaluate_policies(options: Evaluate) -> int:
-    """Evaluate the policies of a folder, or one policy file."""
-    with usage_errors():
-        if options.episodes < 1:
-            raise ValueError(f"--episodes: {options.episodes}, must be at least 1")
-        if options.seed < 0:
-            raise ValueError(f"--seed: {options.seed}, must be at least 0")
-        environment, policies = _find_policies(options)
-        results: dict[str, list[Evaluation]] = {}
-        for name, path in tqdm(policies, unit=" policies", disable=not options.progress, delay=1):
-            policy = load_policy(path)
-            seed = np.random.SeedSequence([options.seed, len(results.get(name, []))])
-            result = evaluate(policy, environment, episodes=options.episodes, seed=seed)
-            results.setdefault(name, []).append(result)
-    rows = [_evaluation_row(name, found, options) for name, found in results.items()]
-    print(f"{environment.id}: mean discounted return")
-    print_table([["policy", "mean", "95% interval", "over", "exact"], *rows])
-    return 0
-
-
-def _find_policies(options: Evaluate) -> tuple[EnvironmentSpec, list[tuple[str, Path]]]:
-    """Return the environment and (label, file) of each policy."""
-    target = options.target
-    if not target.exists():
-        raise ValueError(f"{target}: no such file or folder")
-    if target.is_file():
-        load_policy(target)  # what is wrong with the file is said first
-        if options.env is not None:
-            return _environment(options.env), [(target.name, target)]
-        folder = target.resolve().parent.parent.parent
-        if not (folder / "experiment.json").is_file():
-            raise ValueError(f"{target}: lies in no experiment's folder; name it with --env ID")
-        return load_study(folder).experiment.environment, [(target.name, target)]
-    experiment = load_study(target).experiment
-    runs = (
-        RunFiles(target, entry.name, index)
-        for entry in experiment.entries
-        for index in range(experiment.seeds)
-    )
-    found = [(files.contender, files.find_policy()) for files in runs]
-    policies = [(name, path) for name, path in found if path is not None]
-    if not policies:
-        raise ValueError(f"{target}: holds no policy yet")
-    environment = experiment.environment if options.env is None else _environment(options.env)
-    return environment, policies
-
-
-def _evaluation_row(name: str, results: Sequence[Evaluation], options: Evaluate) -> list[str]:
-    """Return the cells of one contender: over its seeds, or one policy over episodes."""
-    if len(results) == 1:
-        values, over = results[0].returns, f"{options.episodes:,} episodes"
-    else:
-        values, over = np.array([r.returns.mean() for r in results]), f"{len(results)} seeds"
-    interval = mean_interval(values, seed=options.seed)
-    exact = [result.exact for result in results if result.exact is not None]
-    low, high = number(interval.low, ".4f"), number(interval.high, ".4f")
-    return [
-        name,
-        number(interval.mean, ".4f"),
-        DASH if interval.low is None else f"{low} to {high}",
-        over,
-        number(sum(exact) / len(exact) if exact else None, ".4f"),
-    ]
-
-
-def print_table(rows: Iterable[Sequence[str]]) -> None:
-    """Print cells in columns, numbers to the right."""
-    rows = list(rows)
-    widths = [max(len(cell) for cell in column) for column in zip(*rows, strict=True)]
-    for row in rows:
-        first, *others = (
-            cell.ljust(width) if index == 0 else cell.rjust(width)
-            for index, (cell, width) in enumerate(zip(row, widths, strict=True))
-        )
-        print("  ".join([first, *others]).rstrip())

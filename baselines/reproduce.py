@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from baselines.commands import check_sb3, conduct, print_table, try_out
+from baselines.commands import check_sb3, conduct, try_out
 from baselines.experiment import Experiment
 from baselines.records import Record, write_atomic
-from baselines.report import DASH, finished_runs, number, reference_rows
+from baselines.report import DASH, finished_runs, number, print_table, reference_rows
 from baselines.reproduction import Comparison, Computation, Lines, Measure, Reproduction, find
 from baselines.statistics import mean_interval
 from baselines.study import read_runs

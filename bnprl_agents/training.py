@@ -54,10 +54,8 @@ def train(
     episodes are sampled by the compiled rollout instead of stepping copies. The two agree in law.
     `ControllerSearch` gets a simulator of the environment (`simulator_of`), to which it hands its
     own seeds; what it has under way when the budget ends is lost.
-    Two pairs are compiled instead of stepping copies: a learner of controllers or belief policies
-    in a tabular model (whole episodes are sampled), and a learner of action values that learns from
-    every step, with one copy, in a world of `bnprl_envs.worlds`. They agree with the stepped loop
-    in law.
+    So is a learner of action values that learns from every step, with one copy, in a world of
+    `bnprl_envs.worlds`.
 
     Args:
         agent: learns in place.
