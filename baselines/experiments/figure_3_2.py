@@ -5,7 +5,7 @@ The settings are the best found on parts of the grids of appendix 3.7.1, with 2 
 
 from __future__ import annotations
 
-from baselines.evaluation import EnvironmentSpec
+from baselines.environment import EnvironmentSpec
 from baselines.experiment import Entry, Experiment
 from baselines.reproduction import EXACT, LENGTH, RETURN, Comparison, Reproduction
 

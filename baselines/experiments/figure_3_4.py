@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from baselines.evaluation import EnvironmentSpec
+from baselines.environment import EnvironmentSpec
 from baselines.experiment import Entry, Experiment
 from baselines.experiments.figure_3_2 import PENDULUM
 from baselines.reproduction import LENGTH, Comparison, Reproduction

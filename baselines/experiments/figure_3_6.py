@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from baselines.evaluation import EnvironmentSpec
+from baselines.environment import EnvironmentSpec
 from baselines.experiment import Experiment
 from baselines.experiments.figure_3_2 import PUDDLES
 from baselines.experiments.figure_3_4 import sized

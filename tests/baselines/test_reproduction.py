@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from baselines import cli, reproduction
-from baselines.evaluation import EnvironmentSpec
+from baselines.environment import EnvironmentSpec
 from baselines.experiment import Entry, Experiment
 from baselines.experiments.figure_3_3 import largest_values
 from baselines.reproduction import EXACT, LENGTH, Comparison, Computation, Reproduction
