@@ -126,11 +126,44 @@ class Compare:
 
 
 @dataclass(frozen=True)
+class Reproduce:
+    """Reproduce a table or figure of the source; `bnprl list experiments` names them.
+
+    A command that was interrupted goes on when it is given again.
+    """
+
+    name: Positional[str]
+    """Experiment."""
+    quick: bool = False
+    """Few seeds and steps: two minutes on two cores."""
+    out: Path | None = None
+    """Folder for the records, the figure and the tables; below results/ if not given."""
+    jobs: int | None = None
+    """Runs at the same time; as many as cores if not given."""
+    engine: Literal["joblib", "ray", "dask"] = "joblib"
+    """What spreads the runs: processes here, or a cluster of Ray or Dask."""
+    progress: Progress = True
+    """Show a progress bar."""
+
+
+@dataclass(frozen=True)
 class Report:
     """Make the tables, the curves and the page again from the records."""
 
     folder: Positional[Path]
     """Folder that `train` or `compare` wrote."""
+
+
+@dataclass(frozen=True)
+class Plot:
+    """Draw learned action values over the plane of the states, their uncertainty and the policy."""
+
+    file: Positional[Path]
+    """Policy file, below runs/ in a folder that `train`, `compare` or `reproduce` wrote."""
+    out: Path | None = None
+    """Picture (PNG); beside the policy file if not given."""
+    env: str | None = None
+    """Environment id, for a policy file outside such a folder."""
 
 
 @dataclass(frozen=True)
@@ -211,7 +244,9 @@ def _parse(given: list[str]) -> Any:
         "train": _train_with_settings(given) if given[:1] == ["train"] else Train,
         "evaluate": Evaluate,
         "compare": Compare,
+        "reproduce": Reproduce,
         "report": Report,
+        "plot": Plot,
         "bounds": Bounds,
         "watch": Watch,
     }
@@ -258,6 +293,15 @@ def _run(command: Any, given: list[str]) -> int:
 
         return watch(command)
     from baselines import commands  # imports the packages
+
+    if isinstance(command, Plot):
+        from baselines.plot import plot
+
+        return plot(command)
+    if isinstance(command, Reproduce):
+        from baselines.reproduce import reproduce
+
+        return reproduce(command, given)
 
     if isinstance(command, ListNames):
         return commands.list_names(command.what)

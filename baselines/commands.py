@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import contextlib
 import importlib.util
 import logging
@@ -12,6 +11,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from baselines import reproduction
 from baselines.contenders import (
     CONTENDERS,
     EXTRA_MODULES,
@@ -42,23 +42,13 @@ def list_names(what: str) -> int:
     elif what == "agents":
         rows = [(name, contender.summary) for name, contender in CONTENDERS.items()]
     else:
-        rows = _experiments()
+        rows = [(n, reproduction.summary(path)) for n, path in reproduction.names().items()]
     if not rows:
         print(f"There are no {what} yet.")
     width = max((len(name) for name, _ in rows), default=0)
     for name, summary in rows:
         print(f"{name:<{width}}  {summary}")
     return 0
-
-
-def _experiments() -> list[tuple[str, str]]:
-    """Read name and first line of the ready-made experiments without running them."""
-    folder = Path(__file__).parent / "experiments"
-    rows = []
-    for path in sorted(folder.glob("[a-z]*.py")):
-        text = ast.get_docstring(ast.parse(path.read_text())) or ""
-        rows.append((path.stem.replace("_", "-"), text.partition("\n")[0]))
-    return rows
 
 
 def train(options: Train, given: Sequence[str]) -> int:
@@ -75,9 +65,16 @@ def train(options: Train, given: Sequence[str]) -> int:
             eval_points=options.eval_points,
         )
         if entry.learner.family == "sb3":
-            _check_sb3(experiment, entry)
-        _try_out(experiment, entry, "--reward-shift ")
-    return _conduct(experiment, options, given, jobs=1, engine="joblib")
+            check_sb3(experiment, entry)
+        try_out(experiment, entry, "--reward-shift ")
+    return conduct(
+        experiment,
+        options.out,
+        given,
+        jobs=1,
+        tensorboard=options.tensorboard,
+        progress=options.progress,
+    )
 
 
 def compare(options: Compare, given: Sequence[str]) -> int:
@@ -97,10 +94,18 @@ def compare(options: Compare, given: Sequence[str]) -> int:
         )
         for entry in experiment.entries:
             if entry.learner.family == "sb3":
-                _check_sb3(experiment, entry)
+                check_sb3(experiment, entry)
             else:
-                _try_out(experiment, entry, f"--set {entry.name}.reward_shift=")
-    return _conduct(experiment, options, given, jobs=options.jobs, engine=options.engine)
+                try_out(experiment, entry, f"--set {entry.name}.reward_shift=")
+    return conduct(
+        experiment,
+        options.out,
+        given,
+        jobs=options.jobs,
+        engine=options.engine,
+        tensorboard=options.tensorboard,
+        progress=options.progress,
+    )
 
 
 def environment_of(id: str) -> EnvironmentSpec:
@@ -115,7 +120,7 @@ def environment_of(id: str) -> EnvironmentSpec:
     return environment
 
 
-def _try_out(experiment: Experiment, entry: Entry, flag: str) -> None:
+def try_out(experiment: Experiment, entry: Entry, flag: str) -> None:
     """Build a learner once, so that what it cannot do is said before anything is written.
 
     Raises:
@@ -130,7 +135,7 @@ def _try_out(experiment: Experiment, entry: Entry, flag: str) -> None:
         ) from error
 
 
-def _check_sb3(experiment: Experiment, entry: Entry) -> None:
+def check_sb3(experiment: Experiment, entry: Entry) -> None:
     """Check what Stable-Baselines3's learners need without importing them: that takes seconds.
 
     Raises:
@@ -154,20 +159,21 @@ def _check_sb3(experiment: Experiment, entry: Entry) -> None:
             raise MissingExtraError(f'{module} is not installed: pip install "bnprl[baselines]"')
 
 
-def _conduct(
+def conduct(
     experiment: Experiment,
-    options: Train | Compare,
+    folder: Path,
     given: Sequence[str],
     *,
-    jobs: int | None,
-    engine: str,
+    jobs: int | None = None,
+    engine: str = "joblib",
+    tensorboard: bool = False,
+    progress: bool = True,
 ) -> int:
-    """Run an experiment in its folder and report it."""
+    """Run an experiment in its folder and report it; return the exit code."""
     import joblib
 
     from baselines.execution import execute
 
-    folder = options.out
     with _locked(folder):
         with usage_errors():
             open_study(folder, experiment, shlex.join(["bnprl", *given]))
@@ -177,8 +183,8 @@ def _conduct(
                 folder,
                 jobs=joblib.cpu_count() if jobs is None else jobs,
                 engine=engine,
-                tensorboard=options.tensorboard,
-                progress=options.progress,
+                tensorboard=tensorboard,
+                progress=progress,
             )
         _report(folder)
         _name_idle(experiment, folder)

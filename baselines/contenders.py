@@ -142,6 +142,42 @@ CONTENDERS: dict[str, Contender] = {
             "finite-state controllers by Monte-Carlo EM on sampled nodes",
         ),
         _agent(
+            "gpq",
+            "bnprl_agents.gaussian_process.gp_q:GPQ",
+            "GPQConfig",
+            "Q-learning with sparse online Gaussian processes, epsilon-greedy",
+        ),
+        _agent(
+            "gpq-optimistic",
+            "bnprl_agents.gaussian_process.gp_q:GPQ",
+            "OptimisticGPQConfig",
+            "the same, greedy on mean plus two variances",
+        ),
+        _agent(
+            "gp-fitted-q",
+            "bnprl_agents.gaussian_process.gp_fitted_q:GPFittedQ",
+            "GPFittedQConfig",
+            "fitted Q-iteration with exact Gaussian processes on batches",
+        ),
+        _agent(
+            "tabular-q",
+            "bnprl_agents.q_learning.tabular_q:TabularQ",
+            "TabularQConfig",
+            "Q-learning on a table of the quantised state",
+        ),
+        _agent(
+            "linear-q",
+            "bnprl_agents.q_learning.linear_q:LinearQ",
+            "LinearQConfig",
+            "Q-learning on fixed radial bases",
+        ),
+        _agent(
+            "gq",
+            "bnprl_agents.q_learning.linear_q:GQ",
+            "GQConfig",
+            "Q-learning on fixed radial bases with gradient correction",
+        ),
+        _agent(
             "random",
             "bnprl_agents.random_agent:RandomAgent",
             "RandomConfig",
@@ -189,7 +225,8 @@ class AgentLearner:
         environment: what to learn in.
         settings: the agent's config.
         seed: of everything random.
-        n_envs: copies that are stepped together; the compiled rollout makes none.
+        n_envs: copies that are stepped together, None: as many as the agent prefers; the compiled
+            rollout makes none.
 
     Attributes:
         agent: the learner, which is its own policy.
@@ -206,10 +243,10 @@ class AgentLearner:
         environment: EnvironmentSpec,
         settings: Any,
         seed: int,
-        n_envs: int = 16,
+        n_envs: int | None = None,
     ) -> None:
         agent_seed, env_seed = np.random.SeedSequence(seed).generate_state(2)
-        self._env = environment.make_vec(n_envs, "Disabled")
+        self._env = environment.make_vec(n_envs or agent_class.preferred_copies, "Disabled")
         self._env_seed = int(env_seed)
         try:
             self.agent = agent_class(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -50,10 +50,10 @@ def draw_curves(
             if runs:
                 _draw(axes, name, index, runs, field, experiment)
         _draw_references(axes, references, ink)
-        _dress(axes, ink, paper)
+        dress(axes, ink, paper)
     _label_references(right, references, ink)
     left.set(xlabel="environment steps of training", ylabel=METRIC)
-    left.xaxis.set_major_formatter(lambda value, _: _thousands(value))
+    left.xaxis.set_major_formatter(lambda value, _: thousands(value))
     right.set(xlabel="seconds of training")
     times = [run[-1].train_seconds for runs in curves.values() for run in runs]
     if times and max(times) > WIDE_RANGE * max(min(times), 1e-9):
@@ -87,8 +87,8 @@ def _draw(
     colour = COLOURS[index % len(COLOURS)]
     style, marker = STYLES[index // 2 % len(STYLES)], MARKERS[index % len(MARKERS)]
     seed = zlib.crc32(f"{experiment.root_seed} {name}".encode())
-    runs = [_newest(run) for run in runs]
-    grid, values = _on_one_grid(runs, field)
+    runs = [newest(run) for run in runs]
+    grid, values = on_one_grid(runs, field, lambda record: record.return_mean)
     mean, low, high = mean_band(values, seed=seed)
     axes.fill_between(grid, low, high, color=colour, alpha=0.18, linewidth=0)
     if len(grid) == 1:
@@ -108,13 +108,13 @@ def _draw(
     )
 
 
-def _newest(run: Sequence[Record]) -> list[Record]:
+def newest(run: Sequence[Record]) -> list[Record]:
     """Keep the last of evaluations between which nothing was learned."""
     return list({record.steps: record for record in run}.values())
 
 
-def _on_one_grid(
-    runs: Sequence[Sequence[Record]], field: str
+def on_one_grid(
+    runs: Sequence[Sequence[Record]], field: str, value: Callable[[Record], float]
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
     """Interpolate runs that were evaluated at different times: (points,), (runs, points).
 
@@ -122,12 +122,12 @@ def _on_one_grid(
     spent its budget keeps its final value, since its policy no longer changes.
     """
     times = [np.array([getattr(record, field) for record in run], dtype=float) for run in runs]
-    values = [np.array([record.return_mean for record in run]) for run in runs]
+    values = [np.array([value(record) for record in run]) for run in runs]
     first, last = max(time[0] for time in times), max(time[-1] for time in times)
     if min(len(time) for time in times) < 2 or first >= last:
         return (
             np.array([np.mean([time[-1] for time in times])]),
-            np.array([[value[-1]] for value in values]),
+            np.array([[curve[-1]] for curve in values]),
         )
     grid = np.linspace(first, last, GRID)
     return grid, np.array([np.interp(grid, t, v) for t, v in zip(times, values, strict=True)])
@@ -156,7 +156,8 @@ def _label_references(axes: Axes, references: Sequence[Mapping[str, Any]], ink: 
         axes.annotate(text, (1.0, height), xycoords="axes fraction", va="center", color=ink, size=9)
 
 
-def _dress(axes: Axes, ink: str, paper: str) -> None:
+def dress(axes: Axes, ink: str, paper: str) -> None:
+    """Give axes the colours, the grid and the two spines of all pictures."""
     axes.set_facecolor(paper)
     axes.grid(color=ink, alpha=0.12, linewidth=0.7)
     axes.tick_params(colors=ink, which="both")
@@ -167,7 +168,7 @@ def _dress(axes: Axes, ink: str, paper: str) -> None:
         spine.set_color(ink)
 
 
-def _thousands(value: float) -> str:
+def thousands(value: float) -> str:
     """Return a count of steps in few characters: 250k, 1.5M."""
     for size, unit in ((1e9, "G"), (1e6, "M"), (1e3, "k")):
         if abs(value) >= size:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -42,7 +42,8 @@ class Evaluation:
         returns: (n,) discounted return of each episode.
         lengths: (n,) steps of each episode.
         exact: expected discounted return over an infinite horizon, computed from the model; None
-            where there is no model or the policy is no controller.
+            where there is no model, or the policy is neither a controller nor greedy by values of
+            states that it sees.
     """
 
     returns: FloatArray
@@ -86,7 +87,8 @@ def evaluate(
     if model is not None and horizon is not None and belief is not None and not deterministic:
         return _simulate_belief(belief, model, horizon, episodes, rng)
     if model is None or horizon is None or controllers is None or deterministic:
-        return _simulate(policy, environment, episodes, rng, deterministic)
+        found = _simulate(policy, environment, episodes, rng, deterministic)
+        return replace(found, exact=_greedy_value(policy, model, deterministic))
     return _simulate_compiled(controllers, model, horizon, episodes, rng)
 
 
@@ -115,6 +117,17 @@ def _simulate_compiled(
     )
     exact = controller_value(model, controllers, model.discount) if model.discount < 1.0 else None
     return Evaluation(returns, lengths, exact)
+
+
+def _greedy_value(policy: Any, model: TabularModel | None, deterministic: bool) -> float | None:
+    """Return the exact value of a policy that is greedy by the values of states."""
+    if model is None or not model.fully_observed or model.discount == 1.0:
+        return None
+    if deterministic or not hasattr(policy, "greedy_policy"):
+        return None
+    from bnprl_envs.planning import policy_value
+
+    return policy_value(model, policy.greedy_policy(np.arange(model.n_states)))
 
 
 def _simulate(

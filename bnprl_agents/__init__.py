@@ -18,13 +18,21 @@ from bnprl_agents.controllers.stick_breaking import StickBreaking, StickBreaking
 from bnprl_agents.controllers.value import controller_value
 from bnprl_agents.controllers.variational import VariationalBayes, VariationalBayesConfig
 from bnprl_agents.episodes import EpisodeBatch
+from bnprl_agents.gaussian_process.gp_fitted_q import GPFittedQ, GPFittedQConfig
+from bnprl_agents.gaussian_process.gp_q import GPQ, GPQConfig, OptimisticGPQConfig
+from bnprl_agents.gaussian_process.kernels import RadialKernel
+from bnprl_agents.gaussian_process.sparse_gp import SparseGP
 from bnprl_agents.policy_files import PolicyFileError
+from bnprl_agents.q_learning.linear_q import GQ, GQConfig, LinearQ, LinearQConfig
+from bnprl_agents.q_learning.tabular_q import TabularQ, TabularQConfig
 from bnprl_agents.random_agent import RandomAgent, RandomConfig
 from bnprl_agents.search.controller_search import ControllerSearch, ControllerSearchConfig
 from bnprl_agents.search.simulator import TeamSimulator, simulator_of
 from bnprl_agents.training import Progress, train
 
 __all__ = [
+    "GPQ",
+    "GQ",
     "ActorCritic",
     "ActorCriticConfig",
     "Agent",
@@ -35,20 +43,31 @@ __all__ = [
     "ControllerSearchConfig",
     "Counts",
     "EpisodeBatch",
+    "GPFittedQ",
+    "GPFittedQConfig",
+    "GPQConfig",
+    "GQConfig",
     "InfiniteRPR",
     "InfiniteRPRConfig",
+    "LinearQ",
+    "LinearQConfig",
     "MonteCarloEM",
     "MonteCarloEMConfig",
     "OnlineEM",
     "OnlineEMConfig",
+    "OptimisticGPQConfig",
     "PolicyFileError",
     "PredictiveActorCritic",
     "PredictiveActorCriticConfig",
     "Progress",
+    "RadialKernel",
     "RandomAgent",
     "RandomConfig",
+    "SparseGP",
     "StickBreaking",
     "StickBreakingConfig",
+    "TabularQ",
+    "TabularQConfig",
     "TeamSimulator",
     "VariationalBayes",
     "VariationalBayesConfig",

@@ -38,6 +38,11 @@ AGENT_CLASSES = {
     "ActorCritic": "bnprl_agents.controllers.actor_critic",
     "PredictiveActorCritic": "bnprl_agents.belief.predictive_actor_critic",
     "ControllerSearch": "bnprl_agents.search.controller_search",
+    "GPQ": "bnprl_agents.gaussian_process.gp_q",
+    "GPFittedQ": "bnprl_agents.gaussian_process.gp_fitted_q",
+    "TabularQ": "bnprl_agents.q_learning.tabular_q",
+    "LinearQ": "bnprl_agents.q_learning.linear_q",
+    "GQ": "bnprl_agents.q_learning.linear_q",
 }
 """Class name in a policy file -> the module that defines it; nothing else is ever imported."""
 
@@ -65,6 +70,8 @@ class Agent(abc.ABC):
     """
 
     Config: ClassVar[type[Any]]
+    preferred_copies: ClassVar[int] = 16
+    """Copies of the environment to step together; 1 for learners that count their steps."""
 
     def __init__(
         self,

@@ -12,11 +12,17 @@ from gymnasium.vector import AutoresetMode
 
 from bnprl_agents.agent import Agent, Metrics
 from bnprl_agents.belief.learner import BeliefAgent
+from bnprl_agents.compiled_values import CompiledValueAgent, Place, act_and_learn
 from bnprl_agents.controllers.learner import ControllerAgent
 from bnprl_agents.episodes import EpisodeBatch
 from bnprl_agents.search.controller_search import ControllerSearch
 from bnprl_agents.search.simulator import BudgetedSimulator, BudgetSpentError, simulator_of
 from bnprl_envs.model import TabularModel
+from bnprl_envs.worlds import world_of
+
+REPORTS = 200
+"""Reports of a compiled run whose budget is given in steps."""
+NO_LIMIT = np.iinfo(np.int64).max
 
 
 @dataclass(frozen=True)
@@ -48,6 +54,8 @@ def train(
     episodes are sampled by the compiled rollout instead of stepping copies. The two agree in law.
     `ControllerSearch` gets a simulator of the environment (`simulator_of`), to which it hands its
     own seeds; what it has under way when the budget ends is lost.
+    So is a learner of action values that learns from every step, with one copy, in a world of
+    `bnprl_envs.worlds`.
 
     Args:
         agent: learns in place.
@@ -80,6 +88,9 @@ def train(
         if isinstance(agent, ControllerAgent):
             agent.check_reward(smallest_reward(model))
         return _train_compiled(agent, model, horizon, seed, episodes, steps)
+    world = world_of(env)
+    if isinstance(agent, CompiledValueAgent) and agent.compiles and world and env.num_envs == 1:
+        return _train_values(agent, world, horizon or NO_LIMIT, seed, episodes, steps)
     return _train_stepwise(agent, env, seed, episodes, steps)
 
 
@@ -166,3 +177,40 @@ def _train_stepwise(
             observation, _ = env.reset(options={"reset_mask": ended})
             agent.reset(observation, ended)
     yield Progress(done, taken, agent.finish())
+
+
+def _train_values(
+    agent: CompiledValueAgent,
+    world: tuple[Any, ...],
+    horizon: int,
+    seed: int,
+    episodes: int | None,
+    steps: int | None,
+) -> Iterator[Progress]:
+    rng = np.random.default_rng(seed)
+    features = agent.features
+    place = Place(features.points, features.offset, features.range)
+    state, elapsed = np.zeros(features.offset.size), np.zeros(1, dtype=np.int64)
+    done, taken = 0, 0
+    while (episodes is not None and done < episodes) or (steps is not None and taken < steps):
+        slice_steps = NO_LIMIT
+        if steps is not None:
+            slice_steps = min(max(1, steps // REPORTS), steps - taken)
+        exponent = agent.config.exploration_exponent if agent.explores else -1.0
+        new_steps, new_episodes, error = act_and_learn(
+            agent.learner,
+            world,
+            place,
+            exponent,
+            horizon,
+            state,
+            elapsed,
+            agent.steps,
+            slice_steps,
+            1 if steps is None else NO_LIMIT,
+            agent.rng,
+            rng,
+        )
+        agent.steps += new_steps
+        done, taken = done + new_episodes, taken + new_steps
+        yield Progress(done, taken, agent.report(error))

@@ -13,7 +13,7 @@ from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import csr_array, eye_array, kron
+from scipy.sparse import csr_array, diags_array, hstack
 
 from bnprl_envs.model import TabularModel
 from bnprl_envs.tables import FloatArray
@@ -74,8 +74,29 @@ def random_value(model: TabularModel, discount: float | None = None) -> float:
     Raises:
         ValueError: the discount is not below 1.
     """
-    values = optimal_value(*_uniform_tables(model), infinite_horizon_discount(model, discount))
-    return float(model.start @ values)
+    return policy_value(model, _uniform_policy(model), discount)
+
+
+def policy_value(
+    model: TabularModel, policy: npt.ArrayLike, discount: float | None = None
+) -> float:
+    """Return the infinite-horizon discounted value at the start of a policy over states.
+
+    Args:
+        model: one agent or many (the policy is over joint actions).
+        policy: (S, A) probabilities.
+        discount: instead of the model's.
+
+    Raises:
+        ValueError: the discount is not below 1, or the policy is no (S, A) array whose rows sum
+            to 1.
+    """
+    table = np.asarray(policy, dtype=np.float64)
+    wanted = (model.n_states, model.n_actions)
+    if table.shape != wanted or (table < 0.0).any() or np.abs(table.sum(1) - 1.0).max() > 1e-9:
+        raise ValueError(f"policy: shape {table.shape}, must be {wanted} and rows sum to 1")
+    chosen = infinite_horizon_discount(model, discount)
+    return float(model.start @ optimal_value(*_policy_tables(model, table), chosen))
 
 
 def blind_vectors(model: TabularModel, discount: float | None = None) -> FloatArray:
@@ -196,7 +217,9 @@ def finite_horizon_value(
     if not 0.0 <= discount <= 1.0:
         raise ValueError(f"discount: {discount}, must lie in [0, 1]")
     rows, reward = (
-        _uniform_tables(model) if uniform else (model.transition_rows, model.expected_reward)
+        _policy_tables(model, _uniform_policy(model))
+        if uniform
+        else (model.transition_rows, model.expected_reward)
     )
     value = np.zeros(model.n_states)
     for _ in range(horizon):
@@ -274,8 +297,12 @@ def _action_values(
     return np.asarray(reward + discount * (rows @ value).reshape(reward.shape))
 
 
-def _uniform_tables(model: TabularModel) -> tuple[csr_array, FloatArray]:
-    """Return the rows (S, S) and the rewards (1, S) of uniformly random actions."""
-    uniform = csr_array(np.full((1, model.n_actions), 1.0 / model.n_actions))
-    mean_rows = csr_array(kron(uniform, eye_array(model.n_states)) @ model.transition_rows)
-    return mean_rows, model.expected_reward.mean(axis=0, keepdims=True)
+def _policy_tables(model: TabularModel, policy: FloatArray) -> tuple[csr_array, FloatArray]:
+    """Return the rows (S, S) and the rewards (1, S) of a policy (S, A) over states."""
+    weights = csr_array(hstack([diags_array(column) for column in policy.T]))
+    reward = (policy * model.expected_reward.T).sum(axis=1)
+    return csr_array(weights @ model.transition_rows), reward[None]
+
+
+def _uniform_policy(model: TabularModel) -> FloatArray:
+    return np.full((model.n_states, model.n_actions), 1.0 / model.n_actions)

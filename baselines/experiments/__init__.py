@@ -1,0 +1,1 @@
+"""Tables and figures of the source, one short file each: mostly data (see `reproduction`)."""

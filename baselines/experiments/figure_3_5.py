@@ -1,0 +1,35 @@
+"""Figure 3.5: steps to the goal of the puddle world with 400 bases of bandwidth .1; two diverge."""
+
+from __future__ import annotations
+
+from baselines.environment import EnvironmentSpec
+from baselines.experiment import Experiment
+from baselines.experiments.figure_3_2 import PUDDLES
+from baselines.experiments.figure_3_4 import sized
+from baselines.reproduction import LENGTH, Comparison, Reproduction, learner_metric
+
+EXPERIMENT = Experiment(
+    EnvironmentSpec("bnprl/PuddleWorld-v0"),
+    sized(PUDDLES, 20),
+    steps=60_000,
+    seeds=20,
+    eval_episodes=100,
+    eval_points=20,
+)
+QUICK = {"seeds": 1, "steps": 8000, "eval_points": 4, "eval_episodes": 10}
+
+REPRODUCTION = Reproduction(
+    title="Figure 3.5: puddle world, 400 bases of bandwidth .1",
+    panels=(
+        Comparison("steps", "steps to the goal", EXPERIMENT, QUICK, LENGTH),
+        Comparison(
+            "steps",
+            "errors: where they explode, learning has diverged",
+            EXPERIMENT,
+            QUICK,
+            learner_metric("mean |temporal difference|", "td_error"),
+            logarithmic=True,
+        ),
+    ),
+    notes=("Both panels are of the same runs.",),
+)

@@ -1,0 +1,154 @@
+"""Ready-made experiments: what a file of `baselines.experiments` holds, and how it is found.
+
+A file `figure_3_2.py` is the experiment `figure-3.2`. The first line of its docstring is its line
+in the listing, and it defines `REPRODUCTION`: panels, each of them a comparison of contenders in an
+environment or a computation, with the numbers of the source beside them.
+"""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+import difflib
+import importlib
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from baselines.experiment import Experiment
+from baselines.records import Record, check_name
+from bnprl_envs.registry import Reference
+
+FOLDER = Path(__file__).parent / "experiments"
+
+Lines = dict[str, tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]]
+"""Label -> x (points,) and y (runs, points)."""
+
+
+@dataclass(frozen=True)
+class Measure:
+    """One number of an evaluation.
+
+    Attributes:
+        label: what axes and tables call it.
+        of: record -> the number, or None where it does not exist.
+    """
+
+    label: str
+    of: Callable[[Record], float | None]
+
+
+RETURN = Measure("mean discounted return", lambda record: record.return_mean)
+EXACT = Measure("exact discounted return", lambda record: record.exact_value)
+LENGTH = Measure("mean steps of an episode", lambda record: record.length_mean)
+
+
+def learner_metric(label: str, name: str) -> Measure:
+    """Return the measure of a number that learners report by this name."""
+    return Measure(label, lambda record: record.metrics.get(name))
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A panel: contenders in one environment.
+
+    Attributes:
+        name: of its folder.
+        title: above its axes and table.
+        experiment: at full size.
+        quick: fields of the experiment -> their values with --quick, which should take two minutes
+            on two cores for all panels together.
+        measure: what is drawn and tabulated.
+        references: numbers to hold it against: the source's, best known ones.
+        logarithmic: the axis of the measure.
+    """
+
+    name: str
+    title: str
+    experiment: Experiment
+    quick: Mapping[str, Any]
+    measure: Measure = RETURN
+    references: tuple[Reference, ...] = ()
+    logarithmic: bool = False
+
+    def __post_init__(self) -> None:
+        check_name(self.name)
+
+    def sized(self, quick: bool) -> Experiment:
+        """Return the experiment in the size wanted."""
+        return dataclasses.replace(self.experiment, **self.quick) if quick else self.experiment
+
+
+@dataclass(frozen=True)
+class Computation:
+    """A panel: lines that are computed at once, too quickly to be kept in records.
+
+    Attributes:
+        name: in the summary.
+        title: above its axes and table.
+        compute: quick -> lines; the last point of each is tabulated.
+        x: label of the axis.
+        y: label of the other axis.
+        references: numbers to hold it against.
+        logarithmic: the axis y.
+    """
+
+    name: str
+    title: str
+    compute: Callable[[bool], Lines]
+    x: str
+    y: str
+    references: tuple[Reference, ...] = ()
+    logarithmic: bool = False
+
+
+@dataclass(frozen=True)
+class Reproduction:
+    """A table or figure of the source.
+
+    Attributes:
+        title: of the whole.
+        panels: in the order of drawing.
+        notes: what to know when reading it, one sentence or more each.
+    """
+
+    title: str
+    panels: tuple[Comparison | Computation, ...]
+    notes: tuple[str, ...] = field(default=())
+
+
+def names() -> dict[str, Path]:
+    """Return every experiment's name and file, in order."""
+    files = sorted(FOLDER.glob("[a-z]*.py"))
+    return {_name(path.stem): path for path in files}
+
+
+def summary(path: Path) -> str:
+    """Return the first line of a file's docstring, without running it."""
+    return (ast.get_docstring(ast.parse(path.read_text())) or "").partition("\n")[0]
+
+
+def find(name: str) -> Reproduction:
+    """Return the experiment of a name.
+
+    Raises:
+        ValueError: there is none; near misses are named.
+    """
+    known = names()
+    if name not in known:
+        near = difflib.get_close_matches(name.lower(), known, n=3)
+        hint = f"did you mean {' or '.join(near)}?" if near else f"known: {', '.join(known)}"
+        raise ValueError(f"unknown experiment {name!r}; {hint}")
+    module = importlib.import_module(f"baselines.experiments.{known[name].stem}")
+    found: Reproduction = module.REPRODUCTION
+    return found
+
+
+def _name(stem: str) -> str:
+    """Return figure-3.2 for figure_3_2."""
+    return re.sub(r"^(figure|table)_(\d+)_(\d+)", r"\1-\2.\3", stem).replace("_", "-")

@@ -1,0 +1,121 @@
+"""Observations as points of a space with a distance, for kernels, bases and tables."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+from bnprl_agents.episodes import FloatArray
+
+
+class Features:
+    """Turns observations of one agent into points (n, D).
+
+    A Box becomes shares of its range: 0 at its lower and 1 at its upper end. A Discrete space has
+    no distance of its own: its values are the cells of a grid, row by row, where the number of
+    columns is given (points (row, column)), else the corners of a simplex, all equally far.
+
+    Args:
+        space: Discrete, or a Box.
+        low: replaces the lower end of the Box, one number for each dimension; (): not.
+        high: the upper end.
+        grid_columns: columns of the grid whose cells the values of a Discrete space are; 0: none.
+        bounded: refuse a Box with an infinite end, which is else not scaled in that dimension.
+
+    Attributes:
+        dimensions: D.
+        low, high: (D,) ends of the range in units of the observation; infinite where unknown.
+        points: (n, D) of the values of a Discrete space; (0, D) for a Box.
+        offset, range: (D,) of a Box, whose points are (observation - offset) / range.
+
+    Raises:
+        ValueError: another kind of space, or the settings do not fit it.
+    """
+
+    def __init__(
+        self,
+        space: gym.Space[Any],
+        low: Sequence[float] = (),
+        high: Sequence[float] = (),
+        grid_columns: int = 0,
+        *,
+        bounded: bool = False,
+    ) -> None:
+        if grid_columns < 0:
+            raise ValueError(f"grid_columns: {grid_columns}, must not be negative")
+        self.space = space
+        if isinstance(space, gym.spaces.Discrete):
+            if low or high:
+                raise ValueError("low, high: are of a Box; the observation space is Discrete")
+            self.points = _cell_points(int(space.n), grid_columns)
+            self.offset, self.range = np.zeros(1), np.ones(1)
+            self.low, self.high = self.points.min(axis=0), self.points.max(axis=0)
+        elif isinstance(space, gym.spaces.Box):
+            if grid_columns:
+                raise ValueError("grid_columns: is of a Discrete space; the observation is a Box")
+            self.points = np.zeros((0, int(np.prod(space.shape))))
+            self.low = _ends("low", low, space.low)
+            self.high = _ends("high", high, space.high)
+            self._check_box(bounded)
+        else:
+            raise ValueError(f"observation_space: {space}, must be Discrete or Box")
+        self.dimensions = self.low.size
+
+    def __call__(self, observation: Any) -> FloatArray:
+        """Return observations (n, ...), or one, as points (n, D).
+
+        Raises:
+            ValueError: one is not finite, has another shape or lies outside a Discrete space.
+        """
+        if isinstance(self.space, gym.spaces.Discrete):
+            rows: FloatArray = self.points[self._cells(observation, self.space)]
+            return rows
+        array = np.asarray(observation, dtype=np.float64).reshape(-1, self.dimensions)
+        if not np.isfinite(array).all():
+            raise ValueError(f"observation: {array[~np.isfinite(array)][0]}, must be finite")
+        return (array - self.offset) / self.range
+
+    def batched(self, observation: Any) -> bool:
+        """Whether this is a batch of observations."""
+        return np.ndim(observation) > len(self.space.shape or ())
+
+    def _cells(self, observation: Any, space: gym.spaces.Discrete) -> Any:
+        cells = np.atleast_1d(np.asarray(observation))
+        if cells.dtype.kind not in "iu":
+            if not np.isfinite(cells).all() or (cells != np.floor(cells)).any():
+                raise ValueError(f"observation: {observation}, must be an integer")
+            cells = cells.astype(np.int64)
+        cells = cells - int(space.start)
+        if ((cells < 0) | (cells >= space.n)).any():
+            raise ValueError(f"observation: {observation} lies outside {space}")
+        return cells
+
+    def _check_box(self, bounded: bool) -> None:
+        if (self.low >= self.high).any():
+            raise ValueError(f"low: {self.low.tolist()}, must be below high: {self.high.tolist()}")
+        known = np.isfinite(self.low) & np.isfinite(self.high)
+        if bounded and not known.all():
+            raise ValueError(
+                f"observation_space: {self.space} has infinite bounds; give low and high"
+            )
+        with np.errstate(invalid="ignore"):
+            self.offset = np.where(known, self.low, 0.0)
+            self.range = np.where(known, self.high - self.low, 1.0)
+
+
+def _cell_points(n: int, columns: int) -> FloatArray:
+    if columns == 0:
+        return np.eye(n)
+    return np.stack(np.divmod(np.arange(n), columns), axis=1).astype(np.float64)
+
+
+def _ends(name: str, given: Sequence[float], own: Any) -> FloatArray:
+    if not given:
+        return np.asarray(own, dtype=np.float64).ravel()
+    ends = np.array(given, dtype=np.float64)
+    if ends.shape != (own.size,) or not np.isfinite(ends).all():
+        raise ValueError(f"{name}: {tuple(given)}, must be {own.size} finite numbers")
+    return ends

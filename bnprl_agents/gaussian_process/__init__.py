@@ -1,0 +1,1 @@
+"""Q-learning with Gaussian processes, chapter 3."""

@@ -1,0 +1,176 @@
+"""Q-learning on a table of the quantised state: QL-tab of chapter 3."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import gymnasium as gym
+import numpy as np
+from numba import njit
+
+from bnprl_agents.agent import Metrics
+from bnprl_agents.compiled_values import CompiledValueAgent, register
+from bnprl_agents.episodes import FloatArray, IntArray
+from bnprl_agents.policy_files import Arrays
+from bnprl_agents.q_learning.schedule import check_schedules, learning_rate
+from bnprl_agents.value_learner import taken
+
+MOST_CELLS = 10**7
+"""Largest table."""
+
+
+@dataclass(frozen=True)
+class TabularQConfig:
+    """Settings of `TabularQ`. The source does not say what t counts: here, transitions."""
+
+    bins: int = 10
+    """Equal intervals of each dimension of a Box; a Discrete observation is its own cell."""
+    initial_rate: float = 0.5
+    """c of the learning rate c / t^a."""
+    rate_exponent: float = 0.3
+    """a of the learning rate; t is the number of the transition."""
+    exploration_exponent: float = 0.3
+    """b of the exploring probability t^-b at the t-th step."""
+    low: tuple[float, ...] = ()
+    """Lower ends of the range of a Box that is divided; (): its own. Outer cells go on beyond."""
+    high: tuple[float, ...] = ()
+    """Upper ends."""
+    grid_columns: int = 0
+    """Of no use: cells of a grid are cells of the table."""
+
+    def __post_init__(self) -> None:
+        check_schedules(self)
+        if self.bins < 1:
+            raise ValueError(f"bins: {self.bins}, must be at least 1")
+
+
+class Table(NamedTuple):
+    """Everything that the compiled functions read and change.
+
+    Attributes:
+        values: (cells, A).
+        scale: (D,) cells of each dimension for a unit of the point.
+        largest: (D,) the last cell of each dimension.
+        stride: (D,) cells from one cell of each dimension to the next.
+        discount: gamma.
+        initial_rate: c of the learning rate c / t^a.
+        rate_exponent: a.
+    """
+
+    values: FloatArray
+    scale: FloatArray
+    largest: IntArray
+    stride: IntArray
+    discount: float
+    initial_rate: float
+    rate_exponent: float
+
+
+class TabularQ(CompiledValueAgent):
+    """Q-learning (Watkins 1989) whose table has a row for each cell of the state.
+
+    Paper: dissertation, section 3.5 and appendix 3.7.1 (QL-tab).
+
+    Attributes:
+        table: (cells, A) action values.
+    """
+
+    Config = TabularQConfig
+    config: TabularQConfig
+    bounded = True
+
+    def __init__(
+        self,
+        observation_space: Any,
+        action_space: Any,
+        config: TabularQConfig | None = None,
+        *,
+        discount: float,
+        seed: int,
+    ) -> None:
+        super().__init__(observation_space, action_space, config, discount=discount, seed=seed)
+        self._scale, self._largest, self._stride = self._division(observation_space)
+        n_cells = int(self._largest @ self._stride) + 1
+        self.table = np.zeros((n_cells, self.n_actions))
+
+    @property
+    def learner(self) -> Table:
+        """The table as it stands."""
+        return Table(
+            self.table,
+            self._scale,
+            self._largest,
+            self._stride,
+            self.discount,
+            self.config.initial_rate,
+            self.config.rate_exponent,
+        )
+
+    def values(self, points: FloatArray) -> FloatArray:
+        """Return the rows (n, A) of the cells of points (n, D)."""
+        return self.behaviour_values(points)
+
+    def report(self, error: float) -> Metrics:
+        """Report errors and the exploration."""
+        return {"td_error": error, "exploring": self.exploring_probability()}
+
+    def _division(self, space: gym.Space[Any]) -> tuple[FloatArray, IntArray, IntArray]:
+        """Return scale, largest cell and stride (D,) of every dimension."""
+        dimensions = self.features.dimensions
+        if not isinstance(space, gym.spaces.Discrete):
+            bins = self.config.bins
+            if bins**dimensions > MOST_CELLS:
+                raise ValueError(
+                    f"bins: {bins} in {dimensions} dimensions are more than {MOST_CELLS:,} cells"
+                )
+            return (
+                np.full(dimensions, float(bins)),
+                np.full(dimensions, bins - 1),
+                bins ** np.arange(dimensions),
+            )
+        cells = self.features.points.max(axis=0).astype(np.int64)
+        stride = (
+            np.array([self.config.grid_columns, 1])
+            if self.config.grid_columns
+            else np.arange(dimensions)
+        )
+        return np.ones(dimensions), cells, stride
+
+    def learned_arrays(self) -> Arrays:
+        """The table."""
+        return {"table": self.table}
+
+    def restore_learned(self, arrays: Arrays) -> None:
+        """Take over a saved table."""
+        self.table = taken(arrays, "table", self.table.shape)
+
+
+@njit(cache=True)
+def cell(table, x):  # type: ignore[no-untyped-def]
+    """Return the cell of a point (D,)."""
+    number = 0
+    for d in range(x.size):
+        index = min(max(int(np.floor(x[d] * table.scale[d])), 0), table.largest[d])
+        number += index * table.stride[d]
+    return number
+
+
+@njit(cache=True)
+def row(table, x):  # type: ignore[no-untyped-def]
+    """Return the values (A,) at a point."""
+    return table.values[cell(table, x)]
+
+
+@njit(cache=True)
+def learn_cell(table, x, a, r, x_t, terminated, t):  # type: ignore[no-untyped-def]
+    """Q(s, a) += rate (r + gamma max_b Q(s', b) - Q(s, a))."""
+    y = r
+    if not terminated:
+        y += table.discount * row(table, x_t).max()
+    delta = y - row(table, x)[a]
+    row(table, x)[a] += learning_rate(table.initial_rate, table.rate_exponent, t) * delta
+    return abs(delta)
+
+
+register(Table, row, learn_cell)

@@ -1,0 +1,258 @@
+"""What every learner of action values shares: acting, recording, saving."""
+
+from __future__ import annotations
+
+import abc
+from typing import Any, ClassVar, NamedTuple
+
+import gymnasium as gym
+import numpy as np
+
+from bnprl_agents.agent import Agent, Metrics
+from bnprl_agents.episodes import BoolArray, FloatArray, IntArray
+from bnprl_agents.features import Features
+from bnprl_agents.policy_files import Arrays
+
+
+class Transitions(NamedTuple):
+    """n transitions, in the order in which they were observed.
+
+    Attributes:
+        points: (n, D) the observations before, as points.
+        actions: (n,) indices from 0.
+        rewards: (n,).
+        next_points: (n, D) the true next observations.
+        terminated: (n,) where nothing is earned afterwards. A truncated episode would have gone
+            on: its last target is bootstrapped.
+    """
+
+    points: FloatArray
+    actions: IntArray
+    rewards: FloatArray
+    next_points: FloatArray
+    terminated: BoolArray
+
+
+class ValueAgent(Agent):
+    """Base of the learners of Q(s, a): one agent, Discrete or Box observations, Discrete actions.
+
+    Subclasses say how transitions change the values (`learn`) and what the values are. Ties are
+    broken at random, by `predict` too unless it is deterministic: then the first action wins.
+
+    Attributes:
+        features: observation -> point.
+        steps: transitions learned so far.
+
+    Raises:
+        ValueError: a space that the agent cannot use, as said above.
+    """
+
+    bounded: ClassVar[bool] = False
+    """Whether every dimension of a Box must have finite ends."""
+    preferred_copies = 1
+
+    def __init__(
+        self,
+        observation_space: Any,
+        action_space: Any,
+        config: Any = None,
+        *,
+        discount: float,
+        seed: int,
+    ) -> None:
+        super().__init__(observation_space, action_space, config, discount=discount, seed=seed)
+        if not isinstance(action_space, gym.spaces.Discrete):
+            raise ValueError(f"action_space: {action_space}, must be Discrete")
+        settings = self.config
+        self.features = Features(
+            observation_space,
+            settings.low,
+            settings.high,
+            settings.grid_columns,
+            bounded=self.bounded,
+        )
+        self.n_actions = int(action_space.n)
+        self._first_action = int(action_space.start)
+        self.steps = 0
+        self._points = np.zeros((0, self.features.dimensions))
+        self._pending: list[Transitions] = []
+        self._alive = np.zeros(0, dtype=np.bool_)
+
+    @abc.abstractmethod
+    def values(self, points: FloatArray) -> FloatArray:
+        """Return the learned values (n, A) at points (n, D)."""
+
+    @abc.abstractmethod
+    def learn(self, transitions: Transitions) -> Metrics:
+        """Change the values by transitions."""
+
+    @abc.abstractmethod
+    def learned_arrays(self) -> Arrays:
+        """What was learned."""
+
+    @abc.abstractmethod
+    def restore_learned(self, arrays: Arrays) -> None:
+        """Take over what `learned_arrays` gave.
+
+        Raises:
+            ValueError: an array has the wrong shape.
+        """
+
+    def behaviour_values(self, points: FloatArray) -> FloatArray:
+        """Return the values (n, A) by which `act` is greedy when it does not explore."""
+        return self.values(points)
+
+    def exploring_probability(self) -> float:
+        """Return epsilon of the next step: t^-b at the t-th."""
+        return float((1.0 + self.steps) ** -self.config.exploration_exponent)
+
+    def action_values(self, observation: Any) -> FloatArray:
+        """Return the learned values (n, A) of observations."""
+        return self.values(self.features(observation))
+
+    def greedy_policy(self, observation: Any) -> FloatArray:
+        """Return the learned policy (n, A) as probabilities: uniform over the best actions."""
+        best = _is_best(self.action_values(observation))
+        probabilities: FloatArray = best / best.sum(axis=1, keepdims=True)
+        return probabilities
+
+    def reset(self, observation: Any, mask: BoolArray | None = None) -> None:
+        """Begin new episodes; see `Agent.reset`. The number of copies may change if all begin."""
+        points = self.features(observation)
+        begun = np.ones(len(points), dtype=np.bool_) if mask is None else np.asarray(mask, bool)
+        if begun.shape != (len(points),):
+            raise ValueError(f"mask: shape {begun.shape}, must be ({len(points)},)")
+        if len(points) != len(self._alive):
+            if not begun.all():
+                raise ValueError(f"{len(points)} copies, was {len(self._alive)}: reset all of them")
+            self._points, self._alive = points.copy(), begun.copy()
+        self._points[begun] = points[begun]
+        self._alive |= begun
+
+    def act(self, observation: Any) -> Any:
+        """Act greedily, or with probability epsilon at random; see `Agent.act`."""
+        self._require_alive()
+        points = self.features(observation)
+        if len(points) != len(self._alive):
+            raise ValueError(f"observation: of {len(points)} copies, must be {len(self._alive)}")
+        chosen = _best(self.behaviour_values(points), self.rng)
+        exploring = self.rng.random(len(chosen)) < self.exploring_probability()
+        random = self.rng.integers(self.n_actions, size=len(chosen))
+        return self._external(np.where(exploring, random, chosen), observation)
+
+    def observe(
+        self, action: Any, reward: Any, observation: Any, terminated: Any, truncated: Any
+    ) -> None:
+        """Record one transition of every copy; see `Agent.observe`."""
+        self._require_alive()
+        rewards = np.atleast_1d(np.asarray(reward, dtype=np.float64))
+        if not np.isfinite(rewards).all():
+            raise ValueError(f"reward: {rewards[~np.isfinite(rewards)][0]}, must be finite")
+        points, ended = self.features(observation), np.atleast_1d(np.asarray(terminated, bool))
+        self._pending.append(
+            Transitions(self._points, self._indices(action), rewards, points, ended)
+        )
+        if any(len(part) != len(self._alive) for part in self._pending[-1]):
+            self._pending.pop()
+            raise ValueError(f"a transition of {len(self._alive)} copies is wanted")
+        self._points = points.copy()
+        self._alive = ~(ended | np.atleast_1d(np.asarray(truncated, bool)))
+
+    def update(self) -> Metrics:
+        """Learn from every transition observed since the last update; see `Agent.update`."""
+        if not self._pending:
+            return {}
+        transitions = self._pending[0]
+        if len(self._pending) > 1:
+            transitions = Transitions(*map(np.concatenate, zip(*self._pending, strict=True)))
+        self._pending = []
+        metrics = self.learn(transitions)
+        self.steps += len(transitions.actions)
+        return metrics
+
+    def predict(
+        self,
+        observation: Any,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = False,
+    ) -> tuple[Any, Any]:
+        """Act greedily by the learned values; see `Agent.predict`. There is no state."""
+        values = self.action_values(observation)
+        chosen = values.argmax(axis=1) if deterministic else _best(values, self.predict_rng)
+        return self._external(chosen, observation), None
+
+    def state_arrays(self) -> Arrays:
+        """What was learned, and the transitions under way."""
+        arrays: Arrays = {"points": self._points, "alive": self._alive}
+        if self._pending:
+            together = Transitions(*map(np.concatenate, zip(*self._pending, strict=True)))
+            arrays |= {f"pending_{name}": array for name, array in together._asdict().items()}
+        return arrays | self.learned_arrays()
+
+    def counters(self) -> dict[str, Any]:
+        """The number of transitions learned."""
+        return {"steps": self.steps}
+
+    def restore(self, arrays: Arrays, counters: dict[str, Any]) -> None:
+        """Take over a saved state; see `Agent.restore`."""
+        self.steps = int(counters["steps"])
+        self._points, self._alive = arrays["points"], arrays["alive"]
+        if self._points.shape != (len(self._alive), self.features.dimensions):
+            raise ValueError(f"points have shape {self._points.shape}")
+        if "pending_points" in arrays:
+            self._pending = [Transitions(*(arrays[f"pending_{n}"] for n in Transitions._fields))]
+        self.restore_learned(arrays)
+
+    def _indices(self, action: Any) -> IntArray:
+        indices: IntArray = np.atleast_1d(np.asarray(action)).astype(np.int64) - self._first_action
+        if ((indices < 0) | (indices >= self.n_actions)).any():
+            raise ValueError(f"action: {action} lies outside {self.action_space}")
+        return indices
+
+    def _external(self, indices: IntArray, observation: Any) -> Any:
+        actions = indices + self._first_action
+        return actions if self.features.batched(observation) else int(actions[0])
+
+    def _require_alive(self) -> None:
+        if not self._alive.size or not self._alive.all():
+            raise RuntimeError(
+                "an episode has ended or none has begun: call reset(observation, mask) first"
+            )
+
+
+def taken(arrays: Arrays, name: str, shape: tuple[int, ...]) -> FloatArray:
+    """Return a finite float array of a policy file.
+
+    Raises:
+        ValueError: it has another shape, or holds something that is not finite.
+    """
+    array = np.array(arrays[name], dtype=np.float64)
+    if array.shape != shape or not np.isfinite(array).all():
+        raise ValueError(f"{name}: shape {array.shape}, must be {shape} and finite")
+    return array
+
+
+def check_exponent(name: str, value: float) -> None:
+    """Check the exponent of a schedule t^-b.
+
+    Raises:
+        ValueError: it is negative.
+    """
+    if not 0.0 <= value < np.inf:
+        raise ValueError(f"{name}: {value}, must not be negative")
+
+
+def _is_best(values: FloatArray) -> BoolArray:
+    best: BoolArray = values == values.max(axis=1, keepdims=True)
+    return best
+
+
+def _best(values: FloatArray, rng: np.random.Generator) -> IntArray:
+    """Return the best action of each row of (n, A), ties broken uniformly."""
+    best = _is_best(values)
+    if best.sum() == len(values):
+        first: IntArray = best.argmax(axis=1)
+        return first
+    chosen: IntArray = np.where(best, rng.random(values.shape), -1.0).argmax(axis=1)
+    return chosen

@@ -1,0 +1,129 @@
+"""Ready-made experiments: found, complete, run, resumed and drawn."""
+
+import json
+
+import numpy as np
+import pytest
+
+from baselines import cli, reproduction
+from baselines.environment import EnvironmentSpec
+from baselines.experiment import Entry, Experiment
+from baselines.experiments.figure_3_3 import largest_values
+from baselines.reproduction import EXACT, LENGTH, Comparison, Computation, Reproduction
+
+TINY = Reproduction(
+    title="tiny",
+    panels=(
+        Comparison(
+            "grid",
+            "a grid",
+            Experiment(
+                EnvironmentSpec("bnprl/Gridworld-v0"),
+                (Entry("tabular", "tabular-q", {}), Entry("linear", "linear-q", {})),
+                steps=10**9,
+                seeds=50,
+            ),
+            quick={"steps": 300, "seeds": 2, "eval_points": 3, "eval_episodes": 5},
+            measure=EXACT,
+        ),
+        Comparison(
+            "grid",
+            "the same runs",
+            Experiment(
+                EnvironmentSpec("bnprl/Gridworld-v0"),
+                (Entry("tabular", "tabular-q", {}), Entry("linear", "linear-q", {})),
+                steps=10**9,
+                seeds=50,
+            ),
+            quick={"steps": 300, "seeds": 2, "eval_points": 3, "eval_episodes": 5},
+            measure=LENGTH,
+        ),
+        Computation(
+            "line",
+            "a line",
+            lambda quick: {"one": (np.arange(3.0), np.array([[1.0, 2.0, 4.0]]))},
+            x="x",
+            y="y",
+            logarithmic=True,
+        ),
+    ),
+    notes=("a note",),
+)
+
+
+def test_names_and_listing(capsys):
+    assert {f"figure-3.{n}" for n in range(1, 7)} <= set(reproduction.names())
+    assert cli.main(["list", "experiments"]) == 0
+    assert "figure-3.1  Figure 3.1: batch GP fitted Q-iteration" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", reproduction.names())
+def test_every_experiment_can_be_built_in_both_sizes(name):
+    found = reproduction.find(name)
+    assert reproduction.summary(reproduction.names()[name]).endswith(".")
+    for panel in found.panels:
+        if isinstance(panel, Comparison):
+            for quick in (True, False):
+                for entry in panel.sized(quick).entries:
+                    entry.build_settings()
+
+
+def test_an_unknown_name(capsys):
+    assert cli.main(["reproduce", "figure-3.9"]) == 2
+    assert "unknown experiment 'figure-3.9'; did you mean figure-3." in capsys.readouterr().err
+
+
+def test_panels_are_run_resumed_and_reported(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("baselines.reproduce.find", lambda name: TINY)
+    command = ["reproduce", "tiny", "--quick", "--out", str(tmp_path), "--jobs", "1"]
+    assert cli.main([*command, "--no-progress"]) == 0
+    first = json.loads((tmp_path / "summary.json").read_text())
+    records = tmp_path / "grid" / "runs" / "tabular" / "0.jsonl"
+    before = records.read_bytes(), records.stat().st_mtime_ns
+    assert cli.main([*command, "--no-progress"]) == 0
+    assert (records.read_bytes(), records.stat().st_mtime_ns) == before
+    assert json.loads((tmp_path / "summary.json").read_text()) == first
+    grid, same, line = first["panels"]
+    agents = [row["agent"] for row in grid["rows"]]
+    assert agents[:2] == ["tabular", "linear"]
+    assert "random" in agents
+    assert 0.0 <= grid["rows"][0]["mean"] <= 0.4379
+    assert grid["rows"][0]["seeds"] == 2
+    assert same["measure"] == LENGTH.label
+    assert line["rows"][0]["mean"] == 4.0
+    assert (tmp_path / "figure.png").read_bytes().startswith(b"\x89PNG")
+    text = (tmp_path / "summary.md").read_text()
+    assert "# tiny (quick size" in text
+    assert "| one | 4 |" in text
+    assert "a note" in text
+    assert "figure: " in capsys.readouterr().out
+
+
+def test_the_star_diverges_on_fixed_bases_only():
+    lines = largest_values(True)
+    _, fixed = lines["Q-learning on fixed bases"]
+    _, ours = lines["GPQ"]
+    assert (fixed[:, -1] > 2 * fixed[:, 0]).all()
+    assert (ours[:, -1] < ours[:, 0]).all()
+    assert (ours < 10.0).all()
+
+
+def test_plot_draws_values_and_refuses_what_has_none(tmp_path, capsys):
+    for agent in ("gpq", "random"):
+        arguments = [
+            "train",
+            "bnprl/Gridworld-v0",
+            "--agent",
+            agent,
+            "--out",
+            str(tmp_path / agent),
+        ]
+        settings = ["--grid-columns", "5"] if agent == "gpq" else []
+        sizes = ["--steps", "200", "--eval-points", "1", "--eval-episodes", "5", "--no-progress"]
+        assert cli.main([*arguments, *settings, *sizes]) == 0
+    policy = tmp_path / "gpq" / "runs" / "gpq" / "0.policy.npz"
+    assert cli.main(["plot", str(policy)]) == 0
+    assert policy.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
+    other = tmp_path / "random" / "runs" / "random" / "0.policy.npz"
+    assert cli.main(["plot", str(other)]) == 2
+    assert "holds no action values" in capsys.readouterr().err
