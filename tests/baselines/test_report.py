@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from matplotlib.figure import Figure
 
-from baselines.curves import _on_one_grid, draw_curves
+from baselines.curves import on_one_grid, draw_curves
 from baselines.environment import EnvironmentSpec
 from baselines.experiment import Entry, Experiment
 from baselines.records import RecordError, RunFiles, open_log, parse_json
@@ -174,7 +174,7 @@ def test_a_curve_lasts_as_long_as_its_slowest_run() -> None:
         [record(train_seconds=t, return_mean=t * scale) for t in of_run]
         for of_run, scale in zip(times, (1.0, 10.0), strict=True)
     ]
-    grid, values = _on_one_grid(runs, "train_seconds")
+    grid, values = on_one_grid(runs, "train_seconds", lambda record: record.return_mean)
     assert (grid[0], grid[-1]) == (2.0, 10.0)
     assert values[:, 0] == pytest.approx([2.0, 20.0])
     assert values[:, -1] == pytest.approx([4.0, 100.0])
