@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from matplotlib.figure import Figure
 
-from baselines.curves import on_one_grid, draw_curves
+from baselines.curves import draw_curves, on_one_grid
 from baselines.environment import EnvironmentSpec
 from baselines.experiment import Entry, Experiment
 from baselines.records import RecordError, RunFiles, open_log, parse_json
