@@ -51,7 +51,7 @@ class ProximalConfig:
         pieces = max(1, round(episodes.n_steps / self.minibatch_steps))
         order = np.arange(episodes.n_episodes)
         for _ in range(self.epochs):
-            rng.shuffle(order)
+            order = rng.permutation(order)
             yield from np.array_split(order, min(pieces, order.size))
 
 
