@@ -10,7 +10,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from bnprl_agents.episodes import EpisodeBatch, FloatArray, IntArray
 
@@ -100,7 +99,11 @@ class Critic(NamedTuple):
             ridge: precision of the prior, in steps, positive.
         """
         precision, moment = memory * self.precision, memory * self.moment
-        _gather(histories.before, histories.cells.before, targets, precision, moment)
+        for cell in np.unique(histories.cells.before):
+            here = histories.cells.before == cell
+            belief = histories.before[here]
+            precision[cell] += belief.T @ belief
+            moment[cell] += belief.T @ targets[here]
         nothing = np.zeros(moment.shape[1])
         shared = _posterior_mean(precision.sum(axis=0), moment.sum(axis=0), ridge, nothing)
         around = shared if len(moment) > 1 else nothing
@@ -114,13 +117,3 @@ def _posterior_mean(
     prior = ridge * np.eye(len(around))
     pulled = (moment + ridge * around)[..., None]
     return np.linalg.solve(precision + prior, pulled)[..., 0].astype(np.float64)
-
-
-@njit(cache=True, fastmath={"reassoc", "contract"})
-def _gather(belief, cells, targets, precision, moment):  # type: ignore[no-untyped-def]
-    n_nodes = belief.shape[1]
-    for t in range(cells.size):
-        for i in range(n_nodes):
-            moment[cells[t], i] += belief[t, i] * targets[t]
-            for j in range(n_nodes):
-                precision[cells[t], i, j] += belief[t, i] * belief[t, j]
