@@ -69,12 +69,7 @@ class Score(NamedTuple):
 
 
 def run(
-    name: str,
-    env: str,
-    seed: int,
-    *,
-    goals: Sequence[Goal] | None = None,
-    shown: bool = False,
+    name: str, env: str, seed: int, *, goals: Sequence[Goal] | None = None, shown: bool = False
 ) -> list[Score]:
     """Train one agent from one seed and score its policy at every goal.
 
@@ -86,14 +81,10 @@ def run(
         shown: whether to draw a progress bar.
 
     Raises:
-        ValueError: the agent is neither a learner of controllers nor one of belief policies.
+        ValueError: as `learner_of`.
     """
     spec = EnvironmentSpec(env)
-    learner = build_learner(contender(name), spec, None, seed)
-    if not isinstance(learner, AgentLearner) or not isinstance(
-        learner.agent, ControllerAgent | BeliefAgent
-    ):
-        raise ValueError(f"agent: {name!r} learns neither controllers nor belief policies")
+    learner = learner_of(name, spec, seed)
     waiting = list(GOALS[env] if goals is None else goals)
     scores: list[Score] = []
     held, scoring = (0, copy.copy(learner.agent), 0.0), 0.0
@@ -115,6 +106,20 @@ def run(
             bar.update(now.steps - bar.n)
         score(until=np.inf)
     return scores
+
+
+def learner_of(name: str, spec: EnvironmentSpec, seed: int) -> AgentLearner:
+    """Build a learner whose shallow copy keeps its policy: every update makes new tables.
+
+    Raises:
+        ValueError: the agent is neither a learner of controllers nor one of belief policies.
+    """
+    learner = build_learner(contender(name), spec, None, seed)
+    if not isinstance(learner, AgentLearner) or not isinstance(
+        learner.agent, ControllerAgent | BeliefAgent
+    ):
+        raise ValueError(f"agent: {name!r} learns neither controllers nor belief policies")
+    return learner
 
 
 def value(agent: Agent, spec: EnvironmentSpec, seed: int) -> float:
