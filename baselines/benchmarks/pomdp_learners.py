@@ -1,17 +1,23 @@
-"""What a learner of controllers reaches on the POMDPs, for the environment steps spent.
+"""What the learners of POMDPs reach for the environment steps spent.
 
-`python -m baselines.benchmarks.pomdp_learners` trains several seeds on every environment with the
-agent's default settings and prints steps, seconds and exact values against the wanted ones; it
-exits 1 where a mean over the seeds falls short. Values are those of the learned controllers,
-computed from the models, which the learner never sees.
+`python -m baselines.benchmarks.pomdp_learners --out records.jsonl` trains several seeds of each
+learner with its default settings on every environment, and prints environment steps, processor
+seconds and values against the wanted ones; it exits 1 where a mean over the seeds falls short.
+Every finished run is a line of the file, and is not run again. The value of controllers is exact,
+computed from the model, which the learner never sees; that of other policies is a mean over
+simulated episodes, never those of training.
 """
 
 from __future__ import annotations
 
 import argparse
+import copy
+import dataclasses
+import json
 import sys
 import time
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,13 +25,18 @@ from tqdm import tqdm
 
 from baselines.contenders import AgentLearner, build_learner, contender
 from baselines.environment import EnvironmentSpec
+from baselines.evaluation import evaluate
+from baselines.statistics import mean_interval
+from bnprl_agents.agent import Agent
+from bnprl_agents.belief.learner import BeliefAgent
 from bnprl_agents.controllers.learner import ControllerAgent
-from bnprl_agents.controllers.value import controller_value
-from bnprl_envs import model
+
+AGENTS = ("actor-critic", "predictive-actor-critic")
+EVALUATION_EPISODES = 4_000
 
 
 class Goal(NamedTuple):
-    """The mean value that is wanted after so many environment steps."""
+    """The mean value that is wanted within so many environment steps."""
 
     steps: int
     value: float
@@ -46,12 +57,11 @@ GOALS = {
     "bnprl/Shuttle-v0": (Goal(1_000_000, 31.0),),
 }
 """Hallway up to 450,000 steps: what a well-set RecurrentPPO reaches; Tag's first: a memoryless PPO
-after 400,000; Hallway2: the best memoryless policy; else issue targets between that and the best
-known value."""
+after 400,000; Hallway2: the best memoryless policy; else between that and the best known value."""
 
 
 class Score(NamedTuple):
-    """How one seed stands at a goal: environment steps, exact value, processor seconds."""
+    """How one seed stands at a goal: environment steps, value, processor seconds of learning."""
 
     steps: int
     value: float
@@ -59,40 +69,31 @@ class Score(NamedTuple):
 
 
 def run(
-    name: str,
-    env: str,
-    seed: int,
-    *,
-    settings: Any = None,
-    goals: Sequence[Goal] | None = None,
-    shown: bool = False,
+    name: str, env: str, seed: int, *, goals: Sequence[Goal] | None = None, shown: bool = False
 ) -> list[Score]:
-    """Train one agent from one seed and score its controllers at every goal.
+    """Train one agent from one seed and score its policy at every goal.
 
     Args:
         name: of the agent on the command line.
         env: id of a tabular environment.
         seed: of everything random.
-        settings: the agent's; None means its defaults.
         goals: in the order of their steps; None means those of `GOALS`.
         shown: whether to draw a progress bar.
 
     Raises:
-        ValueError: the agent learns no controllers.
+        ValueError: as `learner_of`.
     """
     spec = EnvironmentSpec(env)
-    learner = build_learner(contender(name), spec, settings, seed)
-    if not isinstance(learner, AgentLearner) or not isinstance(learner.agent, ControllerAgent):
-        raise ValueError(f"agent: {name!r} learns no controllers, but their values are wanted")
+    learner = learner_of(name, spec, seed)
     waiting = list(GOALS[env] if goals is None else goals)
     scores: list[Score] = []
-    held, scoring = (0, 0.0, learner.agent.controllers), 0.0
+    held, scoring = (0, copy.copy(learner.agent), 0.0), 0.0
 
     def score(until: float) -> None:
-        """Score the last controllers at every goal that they were learned within."""
+        """Score the last policy at every goal that it was learned within."""
         while waiting and waiting[0].steps < until:
-            value = controller_value(model(env), held[2], spec.discount)
-            scores.append(Score(held[0], value, held[1]))
+            steps, agent, seconds = held
+            scores.append(Score(steps, value(agent, spec, seed), seconds))
             waiting.pop(0)
 
     begin = time.process_time()
@@ -101,48 +102,129 @@ def run(
             spent = time.process_time() - begin - scoring
             score(until=now.steps)
             scoring = time.process_time() - begin - spent
-            held = (now.steps, spent, learner.agent.controllers)
+            held = (now.steps, copy.copy(learner.agent), spent)
             bar.update(now.steps - bar.n)
         score(until=np.inf)
     return scores
 
 
-def report(env: str, runs: Sequence[Sequence[Score]]) -> bool:
+def learner_of(name: str, spec: EnvironmentSpec, seed: int) -> AgentLearner:
+    """Build a learner whose shallow copy keeps its policy: every update makes new tables.
+
+    Raises:
+        ValueError: the agent is neither a learner of controllers nor one of belief policies.
+    """
+    learner = build_learner(contender(name), spec, None, seed)
+    if not isinstance(learner, AgentLearner) or not isinstance(
+        learner.agent, ControllerAgent | BeliefAgent
+    ):
+        raise ValueError(f"agent: {name!r} learns neither controllers nor belief policies")
+    return learner
+
+
+def value(agent: Agent, spec: EnvironmentSpec, seed: int) -> float:
+    """The exact value of the agent's policy if there is one, else its mean simulated return."""
+    found = evaluate(agent, spec, episodes=EVALUATION_EPISODES, seed=seed)
+    return float(found.returns.mean()) if found.exact is None else found.exact
+
+
+class Records:
+    """The finished runs, in a file of one line of JSON each.
+
+    A run is known by its agent, settings, environment, seed and goals; if any differs, or the
+    code, it is another. An unfinished last line is dropped.
+
+    Args:
+        path: of the file, which need not exist; None keeps nothing.
+
+    Raises:
+        ValueError: a complete line is no record.
+        OSError: the file cannot be read or written.
+    """
+
+    def __init__(self, path: Path | None) -> None:
+        self.path = path
+        self.known: dict[str, list[Score]] = {}
+        if path is None or not path.exists():
+            return
+        content = path.read_bytes()
+        complete = content[: content.rfind(b"\n") + 1]
+        if complete != content:
+            path.write_bytes(complete)
+        for number, line in enumerate(complete.splitlines(), start=1):
+            try:
+                record = json.loads(line)
+                self.known[_key(record["run"])] = [Score(**score) for score in record["scores"]]
+            except (ValueError, TypeError, KeyError) as error:
+                raise ValueError(f"{path}:{number}: no record of a run") from error
+
+    def run(self, name: str, env: str, seed: int, shown: bool = False) -> list[Score]:
+        """The scores of a run, from the file if they are there; see `run`."""
+        wanted = {
+            "agent": name,
+            "settings": dataclasses.asdict(contender(name).settings),
+            "environment": env,
+            "seed": seed,
+            "goals": [goal.steps for goal in GOALS[env]],
+        }
+        if _key(wanted) not in self.known:
+            scores = run(name, env, seed, shown=shown)
+            self.known[_key(wanted)] = scores
+            if self.path is not None:
+                line = {"run": wanted, "scores": [score._asdict() for score in scores]}
+                with self.path.open("a") as file:
+                    file.write(json.dumps(line, allow_nan=False) + "\n")
+        return self.known[_key(wanted)]
+
+
+def _key(run: dict[str, Any]) -> str:
+    return json.dumps(run, sort_keys=True)
+
+
+HEADER = (
+    f"{'agent':23}  {'environment':21}  {'steps':>9}  {'cpu s':>7}  {'mean':>8}  "
+    f"{'95% interval':>18}  {'wanted':>8}"
+)
+
+
+def report(name: str, env: str, runs: Sequence[Sequence[Score]]) -> bool:
     """Print a line for every goal of an environment; return whether all are reached."""
     passed = True
     for goal, scores in zip(GOALS[env], zip(*runs, strict=True), strict=True):
-        values = np.array([score.value for score in scores])
-        reached = bool(values.mean() >= goal.value)
+        found = mean_interval([score.value for score in scores])
+        interval = "" if found.low is None else f"{found.low:8.4f}, {found.high:8.4f}"
+        reached = found.mean >= goal.value
         passed &= reached
         print(
-            f"{env:22}  {np.mean([s.steps for s in scores]):11,.0f}  "
-            f"{np.mean([s.seconds for s in scores]):7.1f}  {values.mean():8.4f}  "
-            f"{values.min():8.4f}  {values.max():8.4f}  {goal.value:8.4f}  "
-            f"{'pass' if reached else 'FAIL'}",
+            f"{name:23}  {env:21}  {np.mean([s.steps for s in scores]):9,.0f}  "
+            f"{np.mean([s.seconds for s in scores]):7.1f}  {found.mean:8.4f}  "
+            f"{interval:>18}  {goal.value:8.4f}  {'pass' if reached else 'FAIL'}",
             flush=True,
         )
     return passed
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run every seed on every environment and print the table; return the exit status."""
+    """Run every seed of every agent on every environment; return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--agent", default="actor-critic", help="name of a learner of controllers")
+    parser.add_argument("--agents", nargs="+", default=AGENTS, help="names of learners")
     parser.add_argument("--seeds", type=int, default=10, help="runs on each environment")
     parser.add_argument("--environments", nargs="+", choices=list(GOALS), default=list(GOALS))
+    parser.add_argument("--out", type=Path, help="file of finished runs, which are not run again")
     parser.add_argument("--no-progress", action="store_true", help="draw no progress bars")
     options = parser.parse_args(arguments)
-    print(
-        f"{'environment':22}  {'steps':>11}  {'cpu s':>7}  {'mean':>8}  {'least':>8}  {'most':>8}  "
-        f"{'wanted':>8}   ({options.agent}, {options.seeds} seeds)"
-    )
+    if options.seeds < 1:
+        parser.error(f"--seeds: {options.seeds}, must be at least 1")
+    records = Records(options.out)
+    print(HEADER)
     passed = True
     for env in options.environments:
-        runs = [
-            run(options.agent, env, seed, shown=not options.no_progress)
-            for seed in range(options.seeds)
-        ]
-        passed &= report(env, runs)
+        for name in options.agents:
+            runs = [
+                records.run(name, env, seed, shown=not options.no_progress)
+                for seed in range(options.seeds)
+            ]
+            passed &= report(name, env, runs)
     return 0 if passed else 1
 
 

@@ -24,8 +24,10 @@ from bnprl_agents.belief.filtering import (
     next_observations,
     predict,
 )
-from bnprl_agents.belief.policy import Logits, softmax, through_softmax
+from bnprl_agents.belief.policy import Logits
 from bnprl_agents.episodes import EpisodeBatch, FloatArray, IntArray
+from bnprl_agents.proximal.config import clipped_pull
+from bnprl_agents.softmax import softmax, softmax_gradient
 
 
 class Surrogate(NamedTuple):
@@ -85,15 +87,15 @@ def objective_gradient(
     )
     moves = np.concatenate([transition, termination[..., None]], axis=-1)
     gradient = Logits(
-        through_softmax(policy.initial, initial),
-        through_softmax(softmax(logits.transition), moves),
-        through_softmax(policy.emission, emission.T),
+        softmax_gradient(policy.initial, initial),
+        softmax_gradient(softmax(logits.transition), moves),
+        softmax_gradient(policy.emission, emission.T),
         np.ascontiguousarray(action.T),
     )
     return log_likelihood / steps, Logits(*(part / steps for part in gradient))
 
 
-LARGEST_RATIO = 10.0
+LARGEST_PULL = 10.0
 """Bound of an importance ratio times advantage."""
 
 
@@ -104,10 +106,8 @@ def _policy_step(belief, action, a, advantage, behaviour, clip, entropy, slope, 
     p = action_probabilities(belief, action)
     log_p = np.log(np.maximum(p, 1e-300))
     mean_entropy = -(p * log_p).sum()
-    ratio = p[a] / behaviour
-    weight = 0.0
-    if (advantage > 0.0 and ratio < 1.0 + clip) or (advantage <= 0.0 and ratio > 1.0 - clip):
-        weight = min(max(ratio * advantage, -LARGEST_RATIO), LARGEST_RATIO)
+    pull = clipped_pull(p[a] / behaviour, advantage, clip)
+    weight = min(max(pull, -LARGEST_PULL), LARGEST_PULL)
     local[:] = 0.0
     for u in range(n_actions):
         taken = 1.0 if u == a else 0.0

@@ -11,6 +11,7 @@ import numpy as np
 
 from bnprl_agents.controllers.controller import normalised
 from bnprl_agents.episodes import FloatArray, IntArray
+from bnprl_agents.softmax import softmax
 
 
 class BeliefPolicy(NamedTuple):
@@ -92,17 +93,3 @@ def random_logits(
         emission=rng.normal(size=(n_states, n_observations)),
         action=UNDECIDED * rng.normal(size=(n_states, n_actions)),
     )
-
-
-def softmax(logits: FloatArray) -> FloatArray:
-    """Normalised exponentials over the last axis."""
-    weights = np.exp(logits - logits.max(axis=-1, keepdims=True))
-    shares: FloatArray = weights / weights.sum(axis=-1, keepdims=True)
-    return shares
-
-
-def through_softmax(shares: FloatArray, gradient: FloatArray) -> FloatArray:
-    """Gradient by the logits from the one by the shares: y (g - sum y g), over the last axis."""
-    mean = (shares * gradient).sum(axis=-1, keepdims=True)
-    slope: FloatArray = shares * (gradient - mean)
-    return slope

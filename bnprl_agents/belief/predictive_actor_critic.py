@@ -8,28 +8,31 @@ from typing import Any
 import numpy as np
 
 from bnprl_agents.agent import Metrics
-from bnprl_agents.belief.adam import Adam
-from bnprl_agents.belief.critic import Critic, advantages
 from bnprl_agents.belief.filtering import filter_beliefs
 from bnprl_agents.belief.gradient import NO_POLICY, Surrogate, objective_gradient
 from bnprl_agents.belief.learner import BeliefAgent
-from bnprl_agents.belief.policy import Logits, random_logits
-from bnprl_agents.episodes import EpisodeBatch, FloatArray, IntArray
+from bnprl_agents.belief.policy import random_logits
+from bnprl_agents.episodes import EpisodeBatch, IntArray
 from bnprl_agents.policy_files import Arrays
+from bnprl_agents.proximal.actor import Actor
+from bnprl_agents.proximal.adam import like
+from bnprl_agents.proximal.advantages import judged, standardised
+from bnprl_agents.proximal.config import (
+    FIRST_LENGTH,
+    ProximalConfig,
+    check_counts,
+    check_not_negative,
+    check_positive,
+)
+from bnprl_agents.proximal.critic import Histories, single_cell
 
 
 @dataclass(frozen=True)
-class PredictiveActorCriticConfig:
+class PredictiveActorCriticConfig(ProximalConfig):
     """Settings of `PredictiveActorCritic`, the same for every environment."""
 
     states: int = 40
     """Hidden states of the model."""
-    batch_steps: int = 1024
-    """Environment steps of one batch, about: whole episodes are collected."""
-    minibatch_steps: int = 512
-    """Steps of one gradient, about: whole episodes too."""
-    epochs: int = 5
-    """Passes over a batch."""
     learning_rate: float = 0.03
     """First step size of Adam on the logits."""
     annealing_steps: float = 100_000.0
@@ -38,36 +41,18 @@ class PredictiveActorCriticConfig:
     """Weight of the log-likelihood of observations; 0 leaves the belief to the policy alone."""
     replay_batches: int = 500
     """Past batches, the latest, from which the prediction goes on learning."""
-    clip: float = 0.4
-    """A step stops counting once its action's probability has changed by this share."""
-    entropy: float = 0.02
-    """First weight of the policy's entropy, in standard deviations of the advantage."""
-    advantage_decay: float = 0.8
-    """lambda of the advantages that the policy climbs; 1 trusts returns, 0 the critic."""
-    return_decay: float = 0.95
-    """lambda of the returns that the critic is fitted to."""
-    critic_memory: float = 0.9
-    """Share of the critic's evidence that a batch leaves."""
 
     def __post_init__(self) -> None:
-        for name in ("states", "batch_steps", "minibatch_steps", "epochs", "replay_batches"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name}: {getattr(self, name)}, must be at least 1")
-        for name in ("learning_rate", "annealing_steps", "clip"):
-            if not 0.0 < getattr(self, name) < np.inf:
-                raise ValueError(f"{name}: {getattr(self, name)}, must be positive and finite")
-        for name in ("entropy", "prediction"):
-            if not 0.0 <= getattr(self, name) < np.inf:
-                raise ValueError(f"{name}: {getattr(self, name)}, must be finite, not negative")
-        for name in ("advantage_decay", "return_decay", "critic_memory"):
-            if not 0.0 <= getattr(self, name) <= 1.0:
-                raise ValueError(f"{name}: {getattr(self, name)}, must lie in [0, 1]")
+        super().__post_init__()
+        check_counts(self, "states", "replay_batches")
+        check_positive(self, "learning_rate", "annealing_steps")
+        check_not_negative(self, "prediction")
 
 
-SWEEPS = 2
-"""Fits of the critic to its own bootstrapped returns, a batch."""
-SCALE_MEMORY = 0.9
-"""Share of the running scale of the advantages that a batch leaves."""
+CRITIC_RIDGE = 1.0
+"""Precision of the prior of the critic's weights, in steps."""
+SQUARE_MEMORY, TINY = 0.995, 1e-7
+"""Adam's: see `Adam.ascend`."""
 
 
 class PredictiveActorCritic(BeliefAgent):
@@ -100,19 +85,17 @@ class PredictiveActorCritic(BeliefAgent):
     ) -> None:
         super().__init__(observation_space, action_space, config, discount=discount, seed=seed)
         n_states = self.config.states
-        self.logits = random_logits(n_states, self.n_actions, self.n_observations, self.rng)
-        self.policy = self.logits.policy()
-        self.moments = Adam.begin(self.logits)
-        self.critic = Critic.begin(n_states)
-        self.scale = 0.0
+        logits = random_logits(n_states, self.n_actions, self.n_observations, self.rng)
+        self.actor = Actor.begin(logits, n_cells=1)
+        self.policy = logits.policy()
         self.steps = 0
-        self.mean_length = 128.0
+        self.mean_length = FIRST_LENGTH
         self.replay: list[EpisodeBatch] = []
 
     @property
     def batch_episodes(self) -> int:
         """Episodes that make up `batch_steps` steps, going by the length of the last ones."""
-        return max(1, round(self.config.batch_steps / self.mean_length))
+        return self.config.batch_episodes(self.mean_length)
 
     def annealing(self) -> float:
         """Factor of step size and entropy weight: min(1, annealing_steps / steps)^1/2."""
@@ -123,59 +106,49 @@ class PredictiveActorCritic(BeliefAgent):
         self.steps += episodes.n_steps
         self.mean_length = episodes.n_steps / episodes.n_episodes
         self.replay = [*self.replay, episodes][-self.config.replay_batches :]
-        advantage = self._judge(episodes)
-        surrogate = Surrogate(
-            advantage,
-            episodes.behaviour[:, 0],
-            self.config.clip,
-            self.config.entropy * self.annealing(),
-        )
-        likelihood = self._climb(episodes, surrogate)
-        self.policy = self.logits.policy()
+        likelihood = self._climb(episodes, self._judge(episodes))
+        self.policy = self.actor.logits.policy()
         return {
             "return_mean": float(episodes.returns(self.discount).mean()),
             "log_likelihood": likelihood,
-            "advantage_scale": self.scale,
+            "advantage_scale": self.actor.scale,
         }
 
-    def _judge(self, episodes: EpisodeBatch) -> FloatArray:
-        """Fit the critic; return the standardised advantages (S,)."""
-        config, old = self.config, self.critic
-        beliefs = filter_beliefs(episodes, self.policy)
-        for _ in range(SWEEPS):
-            weights = self.critic.weights
-            returns = beliefs.before @ weights + advantages(
-                episodes, beliefs, weights, self.discount, config.return_decay
-            )
-            self.critic = old.fitted(beliefs.before, returns, config.critic_memory)
-        advantage = advantages(
-            episodes, beliefs, self.critic.weights, self.discount, config.advantage_decay
+    def _judge(self, episodes: EpisodeBatch) -> Surrogate:
+        """Fit the critic; return the policy's objective on these episodes."""
+        actor, on_policy = self.actor, np.ones(episodes.n_steps)
+        critic, advantage = judged(
+            actor.critic,
+            episodes,
+            Histories(*filter_beliefs(episodes, self.policy), single_cell(episodes)),
+            on_policy,
+            self.config,
+            discount=self.discount,
+            ridge=CRITIC_RIDGE,
         )
-        spread = float(advantage.std())
-        fresh = self.scale == 0.0
-        self.scale = spread if fresh else SCALE_MEMORY * self.scale + (1 - SCALE_MEMORY) * spread
-        centred: FloatArray = advantage - advantage.mean()
-        return centred / self.scale if self.scale > 0.0 else np.zeros_like(advantage)
+        standard, scale = standardised(advantage, on_policy, actor.scale)
+        self.actor = actor._replace(critic=critic, scale=scale)
+        entropy = self.config.entropy * self.annealing()
+        return Surrogate(standard, episodes.behaviour[:, 0], self.config.clip, entropy)
 
     def _climb(self, episodes: EpisodeBatch, surrogate: Surrogate) -> float:
         """Adam on minibatches of new and of old episodes; return the likelihood of the old."""
-        pieces = max(1, round(episodes.n_steps / self.config.minibatch_steps))
+        logits, moments = self.actor.logits, self.actor.moments
         rate = self.config.learning_rate * self.annealing()
-        order = np.arange(episodes.n_episodes)
-        total, gradients = 0.0, 0
-        for _ in range(self.config.epochs):
-            self.rng.shuffle(order)
-            for chosen in np.array_split(order, min(pieces, order.size)):
-                _, slope = objective_gradient(episodes, chosen, self.logits, surrogate, 0.0)
-                if self.config.prediction > 0.0:
-                    old, drawn = self._draw_old()
-                    likelihood, ascent = objective_gradient(
-                        old, drawn, self.logits, NO_POLICY, self.config.prediction
-                    )
-                    slope = Logits(*(p + q for p, q in zip(slope, ascent, strict=True)))
-                    total, gradients = total + likelihood, gradients + 1
-                self.logits, self.moments = self.moments.ascend(self.logits, slope, rate)
-        return total / gradients if gradients else float("nan")
+        likelihoods = []
+        for chosen in self.config.minibatches(episodes, self.rng):
+            _, slope = objective_gradient(episodes, chosen, logits, surrogate, 0.0)
+            if self.config.prediction > 0.0:
+                likelihood, ascent = objective_gradient(
+                    *self._draw_old(), logits, NO_POLICY, self.config.prediction
+                )
+                slope = like(slope, (p + q for p, q in zip(slope, ascent, strict=True)))
+                likelihoods.append(likelihood)
+            logits, moments = moments.ascend(
+                logits, slope, rate, square_memory=SQUARE_MEMORY, tiny=TINY
+            )
+        self.actor = self.actor._replace(logits=logits, moments=moments)
+        return float(np.mean(likelihoods)) if likelihoods else float("nan")
 
     def _draw_old(self) -> tuple[EpisodeBatch, IntArray]:
         """Some episodes, about `minibatch_steps` steps, of a batch drawn from the replay."""
@@ -186,45 +159,28 @@ class PredictiveActorCritic(BeliefAgent):
 
     def state_arrays(self) -> Arrays:
         """The learner's state, its logits, moments and critic, and the replay."""
-        arrays = super().state_arrays() | self._learned_arrays()
+        arrays = super().state_arrays() | self.actor.arrays()
         joined = EpisodeBatch.concatenate(self.replay) if self.replay else None
         for name, value in vars(joined).items() if joined is not None else ():
             arrays[f"replay_{name}"] = np.asarray(value, dtype=np.float64)
         arrays["replay_sizes"] = np.array([b.n_episodes for b in self.replay], dtype=np.float64)
         return arrays
 
-    def _learned_arrays(self) -> Arrays:
-        parts: tuple[tuple[str, Any], ...] = (
-            ("logits", self.logits),
-            ("mean", self.moments.mean),
-            ("square", self.moments.square),
-            ("critic", self.critic),
-        )
-        return {f"{part}_{n}": t for part, tables in parts for n, t in tables._asdict().items()}
-
     def counters(self) -> dict[str, Any]:
         """Steps, Adam's updates, the advantages' scale and the episodes' mean length."""
         return {
             "steps": self.steps,
-            "updates": self.moments.updates,
-            "scale": self.scale,
+            "updates": self.actor.moments.updates,
+            "scale": self.actor.scale,
             "mean_length": self.mean_length,
         }
 
     def restore(self, arrays: Arrays, counters: dict[str, Any]) -> None:
         """Take over a saved state; see `Agent.restore`."""
         super().restore(arrays, counters)
-        for name, table in self._learned_arrays().items():
-            if arrays[name].shape != table.shape:
-                raise ValueError(f"{name}: shape {arrays[name].shape}, must be {table.shape}")
-        logits, mean, square = (
-            Logits(*(arrays[f"{part}_{name}"] for name in Logits._fields))
-            for part in ("logits", "mean", "square")
-        )
-        self.logits, self.policy = logits, logits.policy()
-        self.moments = Adam(mean, square, int(counters["updates"]))
-        self.critic = Critic(*(arrays[f"critic_{name}"] for name in Critic._fields))
-        self.scale, self.steps = float(counters["scale"]), int(counters["steps"])
+        self.actor = self.actor.restored(arrays, int(counters["updates"]), float(counters["scale"]))
+        self.policy = self.actor.logits.policy()
+        self.steps = int(counters["steps"])
         self.mean_length = float(counters["mean_length"])
         ends = np.cumsum(arrays["replay_sizes"].astype(np.int64))
         fields = EpisodeBatch.__dataclass_fields__

@@ -1,4 +1,4 @@
-"""Controllers whose rows share strength: additive logits, and ascent on them.
+"""Controllers whose rows share strength: additive logits.
 
 successor[a, o, i, :] = softmax(move[a, i, :] + sight[o, :]): what an observation says about the
 next node is learned from every action and node at once, where free rows (a, o, i) learn alone.
@@ -12,6 +12,7 @@ import numpy as np
 
 from bnprl_agents.controllers.controller import Controller
 from bnprl_agents.episodes import FloatArray
+from bnprl_agents.softmax import softmax
 
 
 class AdditiveLogits(NamedTuple):
@@ -86,59 +87,3 @@ def factorised(logits: AdditiveLogits) -> Factors:
         sight,
         np.maximum(norm, np.finfo(np.float64).tiny),
     )
-
-
-class Adam(NamedTuple):
-    """Moments of the gradient (Kingma and Ba, Adam, ICLR 2015), with its usual constants.
-
-    Attributes:
-        mean: running mean of the gradient.
-        square: running mean of its square.
-        updates: how many gradients they hold.
-    """
-
-    mean: AdditiveLogits
-    square: AdditiveLogits
-    updates: int
-
-    @staticmethod
-    def begin(logits: AdditiveLogits) -> Adam:
-        """No gradient seen yet."""
-        nothing = AdditiveLogits(*map(np.zeros_like, logits))
-        return Adam(nothing, nothing, 0)
-
-    def ascend(
-        self, logits: AdditiveLogits, gradient: AdditiveLogits, rate: float, decay: float
-    ) -> tuple[AdditiveLogits, Adam]:
-        """One step of size `rate` uphill; returns the new logits and moments.
-
-        The logits also shrink by the share `rate` times `decay` (Loshchilov and Hutter, Decoupled
-        weight decay regularization, ICLR 2019), which bounds them by about 1 / decay.
-        """
-        n = self.updates + 1
-        mean = _blend(self.mean, gradient, 0.9)
-        square = _blend(self.square, AdditiveLogits(*(g * g for g in gradient)), 0.999)
-        moved = [
-            (1.0 - rate * decay) * x
-            + rate * (m / (1.0 - 0.9**n)) / (np.sqrt(s / (1.0 - 0.999**n)) + 1e-8)
-            for x, m, s in zip(logits, mean, square, strict=True)
-        ]
-        return AdditiveLogits(*moved), Adam(mean, square, n)
-
-
-def softmax(logits: FloatArray) -> FloatArray:
-    """Distributions over the last axis."""
-    weight = np.exp(logits - logits.max(axis=-1, keepdims=True))
-    shares: FloatArray = weight / weight.sum(axis=-1, keepdims=True)
-    return shares
-
-
-def softmax_gradient(rows: FloatArray, gradient: FloatArray) -> FloatArray:
-    """Chain rule from the gradient of distributions to that of their logits."""
-    pull = rows * gradient
-    change: FloatArray = pull - rows * pull.sum(axis=-1, keepdims=True)
-    return change
-
-
-def _blend(old: AdditiveLogits, new: AdditiveLogits, keep: float) -> AdditiveLogits:
-    return AdditiveLogits(*(keep * a + (1.0 - keep) * b for a, b in zip(old, new, strict=True)))

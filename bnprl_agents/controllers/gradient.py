@@ -16,8 +16,10 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from bnprl_agents.controllers.additive import AdditiveLogits, Factors, softmax_gradient
+from bnprl_agents.controllers.additive import AdditiveLogits, Factors
 from bnprl_agents.episodes import EpisodeBatch, FloatArray, IntArray
+from bnprl_agents.proximal.config import clipped_pull
+from bnprl_agents.softmax import softmax_gradient
 
 
 class Beliefs(NamedTuple):
@@ -208,13 +210,6 @@ def _choose(belief, action, push, d_action, back):  # type: ignore[no-untyped-de
     return entropy
 
 
-@njit(cache=True)
-def _clipped_pull(ratio, advantage, clip):  # type: ignore[no-untyped-def]
-    """Derivative of the clipped surrogate with respect to log p: 0 once the ratio has gone far."""
-    far = ratio > 1.0 + clip if advantage > 0.0 else ratio < 1.0 - clip
-    return 0.0 if far else ratio * advantage
-
-
 @njit(cache=True, fastmath={"reassoc", "contract"}, error_model="numpy")
 def _ascent(chosen, offsets, observations, actions, factors, surrogate, slope):  # type: ignore[no-untyped-def]
     n_nodes = factors.action.shape[1]
@@ -251,7 +246,7 @@ def _ascent(chosen, offsets, observations, actions, factors, surrogate, slope): 
                 )
             ratio = likelihood[t] / np.exp(surrogate.log_old[step])
             divergence += ratio - 1.0 - np.log(ratio)
-            pull = surrogate.weight[step] * _clipped_pull(
+            pull = surrogate.weight[step] * clipped_pull(
                 ratio, surrogate.advantage[step], surrogate.clip
             )
             for i in range(n_nodes):

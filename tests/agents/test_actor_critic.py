@@ -1,4 +1,4 @@
-"""The policy gradient through the filter, the critic, and the learner built on them."""
+"""The policy gradient through the node filter, and the learner built on it."""
 
 import gymnasium as gym
 import numpy as np
@@ -6,19 +6,8 @@ import pytest
 
 from bnprl_agents.agent import load
 from bnprl_agents.controllers.actor_critic import ActorCritic, ActorCriticConfig
-from bnprl_agents.controllers.additive import (
-    Adam,
-    AdditiveLogits,
-    factorised,
-    random_logits,
-)
-from bnprl_agents.controllers.critic import Critic, advantages, history_cells
-from bnprl_agents.controllers.gradient import (
-    Beliefs,
-    Surrogate,
-    filter_beliefs,
-    surrogate_gradient,
-)
+from bnprl_agents.controllers.additive import AdditiveLogits, factorised, random_logits
+from bnprl_agents.controllers.gradient import Surrogate, filter_beliefs, surrogate_gradient
 from bnprl_agents.controllers.messages import forward
 from bnprl_agents.controllers.rollout import rollout
 from bnprl_agents.controllers.value import controller_value
@@ -117,23 +106,6 @@ def test_report_of_the_ascent():
     assert ascent.divergence == pytest.approx((ratio - 1 - np.log(ratio)).mean())
 
 
-def test_adam_moves_by_its_rate_at_first():
-    logits = random_logits(2, 2, 3, 1.0, np.random.default_rng(0))
-    gradient = AdditiveLogits(*(np.full_like(table, -3.0) for table in logits))
-    moved, moments = Adam.begin(logits).ascend(logits, gradient, 0.1, 0.0)
-    assert moments.updates == 1
-    for before, after in zip(logits, moved, strict=True):
-        np.testing.assert_allclose(after, before - 0.1)
-
-
-def test_decay_pulls_logits_to_even_rows():
-    logits = random_logits(2, 2, 3, 1.0, np.random.default_rng(0))
-    nothing = AdditiveLogits(*map(np.zeros_like, logits))
-    moved, _ = Adam.begin(logits).ascend(logits, nothing, 0.1, 0.5)
-    for before, after in zip(logits, moved, strict=True):
-        np.testing.assert_allclose(after, 0.95 * before)
-
-
 def test_factors_are_the_controller():
     logits = random_logits(3, 2, 4, 1.0, np.random.default_rng(0))
     controller, factors = logits.controller(), factorised(logits)
@@ -141,45 +113,6 @@ def test_factors_are_the_controller():
     np.testing.assert_allclose(product, controller.successor)
     np.testing.assert_allclose(factors.action.T, controller.action)
     np.testing.assert_allclose(factors.initial, controller.initial)
-
-
-def test_cells_tell_last_action_and_observation():
-    episodes = random_episodes(np.random.default_rng(0), (3, 2), *SIZES)
-    cells = history_cells(episodes, 0, 2, 4)
-    o, a = episodes.observations[:, 0], episodes.actions[:, 0]
-    wanted = [8 + o[0], 4 * a[0] + o[1], 4 * a[1] + o[2], 8 + o[3], 4 * a[3] + o[4]]
-    np.testing.assert_array_equal(cells.before, wanted)
-    last = episodes.final_observations[:, 0]
-    np.testing.assert_array_equal(cells.final, [4 * a[2] + last[0], 4 * a[4] + last[1]])
-
-
-def test_advantages_by_hand():
-    episodes = random_episodes(np.random.default_rng(0), (2, 1), *SIZES)
-    episodes.rewards[:] = [1.0, 2.0, 4.0]
-    episodes.terminated[:] = [True, False]
-    values = np.array([3.0, 5.0, 7.0]), np.array([100.0, 8.0])
-    found = advantages(episodes, values, 0.5, 0.8, np.array([1.0, 0.25, 1.0]))
-    # ends: 2 - 5 and 4 + .5 * 8 - 7; before: 1 + .5 * 5 - 3 + .5 * .8 * .25 * (2 - 5)
-    np.testing.assert_allclose(found, [0.2, -3.0, 1.0])
-
-
-def test_critic_recovers_a_linear_value_and_shares_it_with_unseen_cells():
-    rng = np.random.default_rng(0)
-    belief = rng.dirichlet(np.ones(3), size=400)
-    cells, weights = rng.integers(2, size=400), np.array([1.0, -2.0, 5.0])
-    critic = Critic.begin(3, 3).fitted(belief, cells, belief @ weights, 0.9, 1e-6)
-    np.testing.assert_allclose(critic.weights, np.tile(weights, (3, 1)), atol=1e-5)
-    again = critic.fitted(belief, cells, belief @ weights, 0.5, 1e-6)
-    np.testing.assert_allclose(again.precision, 1.5 * critic.precision)
-    beliefs = Beliefs(belief, np.ones(400), belief[:2])
-    before, final = critic.values(beliefs, history_cells_stub(cells))
-    np.testing.assert_allclose(before, belief @ weights, atol=1e-5)
-    np.testing.assert_allclose(final, before[:2])
-
-
-def history_cells_stub(cells):
-    episodes = random_episodes(np.random.default_rng(0), (1,), *SIZES)
-    return history_cells(episodes, 0, 2, 4)._replace(before=cells, final=cells[:2])
 
 
 def test_a_batch_without_rewards_leaves_the_policy_unchanged_and_says_so():

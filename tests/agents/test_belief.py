@@ -7,12 +7,11 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from baselines.benchmarks.belief_policies import run
+from baselines.benchmarks.pomdp_learners import Goal, run
 from bnprl_agents.agent import load
-from bnprl_agents.belief.critic import Critic, advantages
-from bnprl_agents.belief.filtering import Beliefs, filter_beliefs
+from bnprl_agents.belief.filtering import filter_beliefs
 from bnprl_agents.belief.gradient import NO_POLICY, Surrogate, objective_gradient
-from bnprl_agents.belief.policy import Logits, random_logits, softmax
+from bnprl_agents.belief.policy import Logits, random_logits
 from bnprl_agents.belief.predictive_actor_critic import (
     PredictiveActorCritic,
     PredictiveActorCriticConfig,
@@ -135,23 +134,6 @@ def test_the_rollout_records_the_probabilities_of_the_policy():
         belief_rollout(random_model(rng), policy.policy(), episodes=1, horizon=1, rng=rng)
 
 
-def test_advantages_by_hand():
-    _, episodes, _ = case()
-    short = episodes.between(1, 2)
-    short = type(short)(**(vars(short) | {"rewards": np.array([2.0])}))
-    beliefs = Beliefs(np.array([[1.0, 0.0]]), np.array([[0.0, 1.0]]))
-    found = advantages(short, beliefs, np.array([3.0, 4.0]), 0.5, 0.9)
-    assert found == pytest.approx([2.0 + 0.5 * 4.0 - 3.0])  # truncated: goes on at 4
-
-
-def test_the_critic_is_ridge_regression_on_fading_evidence():
-    rng = np.random.default_rng(0)
-    x, y = rng.dirichlet(np.ones(3), size=50), rng.normal(size=50)
-    critic = Critic.begin(3).fitted(x, y, 0.5).fitted(x, y, 0.5)
-    wanted = np.linalg.solve(1.5 * x.T @ x + np.eye(3), 1.5 * x.T @ y)
-    assert critic.weights == pytest.approx(wanted)
-
-
 def small(seed=0, **settings):
     config = PredictiveActorCriticConfig(
         **({"states": 4, "batch_steps": 60, "minibatch_steps": 30} | settings)
@@ -201,10 +183,6 @@ def test_bad_input_is_refused():
         PredictiveActorCritic(*team, discount=0.9, seed=0)
 
 
-def test_softmax_survives_large_logits():
-    assert softmax(np.array([1e4, 0.0])) == pytest.approx([1.0, 0.0])
-
-
 def test_hallway_beats_the_best_memoryless_policy_within_40_000_steps():
-    (score,) = run("bnprl/Hallway-v0", seed=0, goals=(40_000,))
+    (score,) = run("predictive-actor-critic", "bnprl/Hallway-v0", 0, goals=(Goal(40_000, 0.0),))
     assert score.value > 0.3756 + 0.02

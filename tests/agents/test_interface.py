@@ -8,6 +8,10 @@ import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from bnprl_agents.agent import load
+from bnprl_agents.belief.predictive_actor_critic import (
+    PredictiveActorCritic,
+    PredictiveActorCriticConfig,
+)
 from bnprl_agents.controllers.actor_critic import ActorCritic, ActorCriticConfig
 from bnprl_agents.controllers.em import BatchEM, BatchEMConfig
 from bnprl_agents.controllers.infinite import InfiniteRPR, InfiniteRPRConfig
@@ -34,6 +38,7 @@ every_agent = pytest.mark.parametrize(
         InfiniteRPR,
         MonteCarloEM,
         ActorCritic,
+        PredictiveActorCritic,
     ],
 )
 
@@ -321,6 +326,7 @@ def history(agent, env, observation, steps):
         (StickBreaking, StickBreakingConfig(nodes=3, batch_episodes=7)),
         (InfiniteRPR, InfiniteRPRConfig(nodes=6, initial_nodes=3, batch_episodes=7)),
         (MonteCarloEM, MonteCarloEMConfig(nodes=3, batch_episodes=7)),
+        (PredictiveActorCritic, PredictiveActorCriticConfig(states=3, batch_steps=20)),
     ],
 )
 def test_a_loaded_agent_goes_on_bit_for_bit(agent_class, config, tmp_path):

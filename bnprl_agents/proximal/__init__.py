@@ -1,0 +1,1 @@
+"""What the learners by proximal policy optimisation on a belief share."""

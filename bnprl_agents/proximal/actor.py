@@ -1,0 +1,62 @@
+"""What an actor-critic has learned of one agent."""
+
+from __future__ import annotations
+
+from typing import Any, Generic, NamedTuple
+
+from bnprl_agents.policy_files import Arrays
+from bnprl_agents.proximal.adam import Adam, Tables, like
+from bnprl_agents.proximal.critic import Critic
+
+
+class Actor(NamedTuple, Generic[Tables]):
+    """What is learned of one agent.
+
+    Attributes:
+        logits: of its policy.
+        moments: of their gradient.
+        critic: of its histories.
+        scale: running standard deviation of its advantages; 0 before the first batch.
+    """
+
+    logits: Tables
+    moments: Adam[Tables]
+    critic: Critic
+    scale: float
+
+    @staticmethod
+    def begin(logits: Tables, n_cells: int) -> Actor[Tables]:
+        """Nothing learned; the last axis of the first logits is that of the belief."""
+        return Actor(logits, Adam.begin(logits), Critic.begin(n_cells, logits[0].shape[-1]), 0.0)
+
+    def arrays(self, suffix: str = "") -> Arrays:
+        """Everything but the scale and the number of updates, each name with a suffix."""
+        parts: tuple[tuple[str, Any], ...] = (
+            ("logits", self.logits),
+            ("mean", self.moments.mean),
+            ("square", self.moments.square),
+            ("critic", self.critic),
+        )
+        return {
+            f"{part}_{name}{suffix}": table
+            for part, tables in parts
+            for name, table in tables._asdict().items()
+        }
+
+    def restored(
+        self, arrays: Arrays, updates: int, scale: float, suffix: str = ""
+    ) -> Actor[Tables]:
+        """The actor that `arrays` was called on.
+
+        Raises:
+            ValueError: an array has another shape than this actor's.
+        """
+        found = {name: arrays[name] for name in self.arrays(suffix)}
+        for name, table in self.arrays(suffix).items():
+            if found[name].shape != table.shape:
+                raise ValueError(f"{name}: shape {found[name].shape}, must be {table.shape}")
+        tables, size = list(found.values()), len(self.logits)
+        logits, mean, square = (
+            like(self.logits, tables[n * size : (n + 1) * size]) for n in range(3)
+        )
+        return Actor(logits, Adam(mean, square, updates), Critic(*tables[3 * size :]), scale)
