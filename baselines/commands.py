@@ -213,12 +213,12 @@ def _name_failures(failed: Sequence[RunFiles]) -> int:
 
 
 def _name_idle(experiment: Experiment, folder: Path) -> None:
-    """Warn of contenders for which the budget held no whole episode or update."""
+    """Warn of contenders for which the budget held no update."""
     for name, runs in finished_runs(read_runs(experiment, folder)).items():
         idle = sum(not run[-1].metrics for run in runs)
         if idle:
             _log.warning(
-                "%s learned nothing in %d of %d runs: no whole episode fits in a budget of %s %s",
+                "%s learned nothing in %d of %d runs: no update fits in a budget of %s %s",
                 name,
                 idle,
                 len(runs),

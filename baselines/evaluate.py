@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -21,6 +22,8 @@ from baselines.usage import usage_errors
 
 if TYPE_CHECKING:
     from baselines.cli import Evaluate
+
+_log = logging.getLogger(__name__)
 
 
 def evaluate_policies(options: Evaluate) -> int:
@@ -62,8 +65,13 @@ def _find_policies(options: Evaluate) -> tuple[EnvironmentSpec, list[tuple[str, 
         for entry in experiment.entries
         for index in range(experiment.seeds)
     )
-    found = [(files.contender, files.find_policy()) for files in runs]
-    policies = [(name, path) for name, path in found if path is not None]
+    found = [(files, files.find_policy()) for files in runs]
+    policies = [(files.contender, path) for files, path in found if path is not None]
+    missing = [files.name for files, path in found if path is None]
+    if policies and missing:
+        _log.warning(
+            "no policy of %s; the command that made the folder makes it", ", ".join(missing)
+        )
     if not policies:
         raise ValueError(f"{target}: holds no policy yet")
     environment = experiment.environment if options.env is None else environment_of(options.env)

@@ -29,6 +29,8 @@ from bnprl_agents.training import Progress
 
 OWNER_SECONDS = 0.2
 """Time between two looks of a worker at whether its owner lives."""
+WARM_UP_EPISODES = 8
+"""Enough for a first update of the learners that compile much."""
 ENGINES = ("joblib", "ray", "dask")
 
 
@@ -80,7 +82,7 @@ def execute(
     runs = [
         Run(experiment, files, logs, os.getpid() if engine == "joblib" else None)
         for files in _longest_first(experiment, found)
-        if not found[files].finished
+        if not (found[files].finished and files.find_policy())
     ]
     if not runs:
         return []
@@ -169,7 +171,7 @@ def run_one(run: Run) -> None:
     experiment, files = run.experiment, run.files
     entry = experiment.entry(files.contender)
     with open_log(files.records) as log:
-        if files.read().finished:
+        if files.read().finished and files.find_policy():
             return
         log.restart()
         seed, _ = experiment.run_seeds(entry.name, files.seed)
@@ -178,8 +180,14 @@ def run_one(run: Run) -> None:
             build_learner, entry.learner, experiment.environment, entry.build_settings(), seed
         )
         if entry.learner.family == "bnprl":
-            next(build().learn(episodes=1))  # compiles, so that the seconds are of learning
+            _warm_up(build())
         _Course(run, build(logs), log).follow()
+
+
+def _warm_up(learner: Learner) -> None:
+    """Let a learner to be thrown away compile, so that the seconds measured are of learning."""
+    for _ in learner.learn(episodes=WARM_UP_EPISODES):
+        pass
 
 
 class _Course:

@@ -147,7 +147,7 @@ class Experiment:
         for name in ("episodes", "steps", "seeds", "eval_episodes", "eval_points"):
             value = getattr(self, name)
             if value is not None and not (isinstance(value, int) and 1 <= value < 2**53):
-                raise ValueError(f"--{name.replace('_', '-')}: {value}, must be at least 1")
+                raise ValueError(f"--{name.replace('_', '-')}: {value}, must lie in 1 to 2**53 - 1")
         if self.root_seed < 0:
             raise ValueError(f"--seed: {self.root_seed}, must be at least 0")
         names = [entry.name for entry in self.entries]

@@ -14,6 +14,7 @@ from bnprl_agents.agent import Agent, Metrics
 from bnprl_agents.belief.learner import BeliefAgent
 from bnprl_agents.compiled_values import CompiledValueAgent, Place, act_and_learn
 from bnprl_agents.controllers.learner import ControllerAgent
+from bnprl_agents.controllers.rollout import check_fit
 from bnprl_agents.episodes import EpisodeBatch
 from bnprl_agents.search.controller_search import ControllerSearch
 from bnprl_agents.search.simulator import BudgetedSimulator, BudgetSpentError, simulator_of
@@ -62,7 +63,8 @@ def train(
         env: a vector environment whose autoreset is disabled; of a team, a batch that exchanges
             arrays (n_envs, N). For `ControllerSearch` a PettingZoo parallel environment will do.
         seed: of the environment.
-        episodes: budget of finished episodes.
+        episodes: budget of finished episodes. Copies that are stepped may pass it by the episodes
+            that end in the same step.
         steps: budget of environment steps over all copies, never exceeded: the last update
             learns from the whole episodes that still fit. Give one of the two.
 
@@ -75,6 +77,11 @@ def train(
         raise ValueError(f"episodes: {episodes}, steps: {steps}; give one of them, at least 1")
     if isinstance(agent, ControllerSearch):
         return _train_by_search(agent, env, episodes, steps)
+    if not hasattr(env, "num_envs"):
+        raise ValueError(
+            f"env: {type(env).__name__} is no batch; gym.make_vec(id, num_envs=1, "
+            'autoreset_mode="Disabled") makes one'
+        )
     if env.metadata.get("autoreset_mode") is not AutoresetMode.DISABLED:
         raise ValueError(
             f"autoreset_mode: {env.metadata.get('autoreset_mode')}, must be AutoresetMode.DISABLED"
@@ -86,6 +93,7 @@ def train(
         and horizon
     ):
         if isinstance(agent, ControllerAgent):
+            check_fit(model, agent.controllers)
             agent.check_reward(smallest_reward(model))
         return _train_compiled(agent, model, horizon, seed, episodes, steps)
     world = world_of(env)

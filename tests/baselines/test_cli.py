@@ -218,7 +218,7 @@ def test_a_budget_without_an_episode_is_named(
     (warning,) = caplog.messages
     assert re.fullmatch(
         r"online-em learned nothing in [12] of 2 runs: "
-        r"no whole episode fits in a budget of 1 steps",
+        r"no update fits in a budget of 1 steps",
         warning,
     )
     assert "steps used by online-em</dt>" in (out / "report.html").read_text()

@@ -57,6 +57,17 @@ def test_a_run_is_recorded_at_each_point(tmp_path: Path) -> None:
     ]
 
 
+def test_a_finished_run_without_its_policy_is_done_again(tmp_path: Path) -> None:
+    run(tmp_path, experiment())
+    before, policy = values(tmp_path), RunFiles(tmp_path, "fake", 0).policy(".npz")
+    kept = RunFiles(tmp_path, "fake", 1).records.stat().st_mtime_ns
+    policy.unlink()
+    run(tmp_path, experiment())
+    assert policy.read_bytes() == b"fake"
+    assert values(tmp_path) == before
+    assert RunFiles(tmp_path, "fake", 1).records.stat().st_mtime_ns == kept
+
+
 def test_a_budget_of_steps_counts_steps(tmp_path: Path) -> None:
     run(tmp_path, experiment(episodes=None, steps=500))
     assert [line["steps"] for line in values(tmp_path)] == [150, 250, 400, 500]
