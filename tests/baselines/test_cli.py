@@ -280,7 +280,8 @@ def test_a_killed_comparison_resumes_to_the_same_summary(
 @pytest.mark.skipif(os.name != "posix", reason="signals of a terminal")
 def test_an_interrupt_says_how_to_go_on(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    arguments = [*COMPARE, *BUDGET, "--jobs", "2", "--out", str(out)]
+    budget = ["--episodes", "100000", "--eval-episodes", "100", "--eval-points", "100"]  # minutes
+    arguments = [*COMPARE, *budget, "--no-progress", "--jobs", "2", "--out", str(out)]
     process = command(*arguments, start_new_session=True)
     deadline = time.monotonic() + 60
     while not sum(lines(out).values()) and time.monotonic() < deadline:
