@@ -277,12 +277,17 @@ def test_a_killed_comparison_resumes_to_the_same_summary(
     assert len(lines(out)) == 6
 
 
+def heed_interrupts() -> None:
+    """Undo what a shell does to what it runs in the background, this test maybe."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 @pytest.mark.skipif(os.name != "posix", reason="signals of a terminal")
 def test_an_interrupt_says_how_to_go_on(tmp_path: Path) -> None:
     out = tmp_path / "out"
     budget = ["--episodes", "100000", "--eval-episodes", "100", "--eval-points", "100"]  # minutes
     arguments = [*COMPARE, *budget, "--no-progress", "--jobs", "2", "--out", str(out)]
-    process = command(*arguments, start_new_session=True)
+    process = command(*arguments, start_new_session=True, preexec_fn=heed_interrupts)
     deadline = time.monotonic() + 60
     while not sum(lines(out).values()) and time.monotonic() < deadline:
         time.sleep(0.01)
