@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import logging
 import os
+import signal
 import sys
-from collections.abc import Sequence
+import threading
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -151,7 +154,15 @@ class Report:
     """Make the tables, the curves and the page again from the records."""
 
     folder: Positional[Path]
-    """Folder that `train` or `compare` wrote."""
+    """Folder that `train`, `compare` or `reproduce` wrote."""
+
+
+@dataclass(frozen=True)
+class Status:
+    """Show which runs are done, running, failed or still to come, and how long they will take."""
+
+    folder: Positional[Path]
+    """Folder that `train`, `compare` or `reproduce` wrote or is writing."""
 
 
 @dataclass(frozen=True)
@@ -219,13 +230,31 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         if given[:1] == ["--version"]:
             return _version()
-        return _run(_parse(given), given)
+        with _terminable():
+            return _run(_parse(given), given)
     except UsageError as error:
         print(f"bnprl: error: {error}", file=sys.stderr)
         return 2
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as end:
         print("bnprl: interrupted; the same command resumes", file=sys.stderr)
-        return 130
+        return end.args[0] if end.args else 128 + signal.SIGINT
+
+
+@contextlib.contextmanager
+def _terminable() -> Iterator[None]:
+    """Let SIGTERM, by which schedulers end a job, do what an interrupt does."""
+
+    def stop(number: int, _: Any) -> None:
+        raise KeyboardInterrupt(128 + number)
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def _version() -> int:
@@ -246,6 +275,7 @@ def _parse(given: list[str]) -> Any:
         "compare": Compare,
         "reproduce": Reproduce,
         "report": Report,
+        "status": Status,
         "plot": Plot,
         "bounds": Bounds,
         "watch": Watch,
@@ -298,6 +328,10 @@ def _run(command: Any, given: list[str]) -> int:
         from baselines.plot import plot
 
         return plot(command)
+    if isinstance(command, Status):
+        from baselines.status import status
+
+        return status(command.folder)
     if isinstance(command, Reproduce):
         from baselines.reproduce import reproduce
 

@@ -23,7 +23,8 @@ from baselines.experiment import Entry, Experiment, configured_entries
 from baselines.records import FolderInUseError, RecordError, RunFiles, folder_lock
 from baselines.report import finished_runs, print_table, table, write_report
 from baselines.sb3_checks import check_served
-from baselines.study import load_study, open_study, read_runs
+from baselines.status import failure
+from baselines.study import load_study, open_study, read_runs, study_folders
 from baselines.usage import usage_errors
 from bnprl_agents.controllers.learner import NegativeRewardError
 from bnprl_envs import registry
@@ -203,9 +204,8 @@ def _name_failures(failed: Sequence[RunFiles]) -> int:
     if not failed:
         return 0
     names = ", ".join(files.name for files in failed)
-    reason = failed[0].error.read_text().strip().splitlines()[-1]
     print(
-        f"bnprl: error: failed: {names} ({reason}); traceback in {failed[0].error}; "
+        f"bnprl: error: failed: {names} ({failure(failed[0])}); traceback in {failed[0].error}; "
         "the same command tries again",
         file=sys.stderr,
     )
@@ -228,11 +228,14 @@ def _name_idle(experiment: Experiment, folder: Path) -> None:
 
 
 def report(folder: Path) -> int:
-    """Make the report of a folder again."""
+    """Make the report of a folder again, or those of the panels of a reproduction."""
     with usage_errors():
-        load_study(folder)
-    with _locked(folder):
-        _report(folder)
+        folders = study_folders(folder)
+        for place in folders:
+            load_study(place)
+    for place in folders:
+        with _locked(place):
+            _report(place)
     return 0
 
 

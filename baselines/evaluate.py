@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,6 +20,7 @@ from baselines.report import DASH, number, print_table
 from baselines.statistics import mean_interval
 from baselines.study import load_study
 from baselines.usage import usage_errors
+from bnprl_agents.policy_files import PolicyFileError
 
 if TYPE_CHECKING:
     from baselines.cli import Evaluate
@@ -35,15 +37,24 @@ def evaluate_policies(options: Evaluate) -> int:
             raise ValueError(f"--seed: {options.seed}, must be at least 0")
         environment, policies = _find_policies(options)
         results: dict[str, list[Evaluation]] = {}
+        damaged: list[str] = []
         for name, path in tqdm(policies, unit=" policies", disable=not options.progress, delay=1):
-            policy = load_policy(path)
+            try:
+                policy = load_policy(path)
+            except PolicyFileError as error:
+                if len(policies) == 1:
+                    raise
+                damaged.append(str(error))
+                continue
             seed = np.random.SeedSequence([options.seed, len(results.get(name, []))])
             result = evaluate(policy, environment, episodes=options.episodes, seed=seed)
             results.setdefault(name, []).append(result)
     rows = [_evaluation_row(name, found, options) for name, found in results.items()]
     print(f"{environment.id}: mean discounted return")
     print_table([["policy", "mean", "95% interval", "over", "exact"], *rows])
-    return 0
+    for reason in damaged:
+        print(f"bnprl: error: {reason}", file=sys.stderr)
+    return 1 if damaged else 0
 
 
 def _find_policies(options: Evaluate) -> tuple[EnvironmentSpec, list[tuple[str, Path]]]:

@@ -44,6 +44,7 @@ class Entry:
         for key in self.settings.keys() - set(known):
             near = difflib.get_close_matches(key, known)
             hint = f"did you mean {' or '.join(near)}?" if near else f"known: {', '.join(known)}"
+            hint = hint if known else "it has none"
             raise ValueError(f"{self.name}: unknown setting {key!r}; {hint}")
 
     @staticmethod
@@ -82,8 +83,11 @@ def configured_entries(names: Sequence[str], assignments: Sequence[str]) -> tupl
             value of another type.
     """
     entries = {name: Entry.of(name) for name in names}
+    paths = [text.partition("=")[0] for text in assignments]
     for text in assignments:
         path, equals, value = text.partition("=")
+        if paths.count(path) > 1:
+            raise ValueError(f"--set {path}: is given {paths.count(path)} times")
         name, _, field = path.partition(".")
         if not equals or name not in entries:
             raise ValueError(

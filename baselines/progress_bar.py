@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import sys
 import threading
+import time
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -14,6 +16,8 @@ from baselines.records import RunFiles, parse_json
 
 POLL_SECONDS = 0.5
 """Time between two looks at the records."""
+LOG_SECONDS = 30.0
+"""Time between two lines of progress where nobody looks: in a file or a pipe."""
 
 
 @contextlib.contextmanager
@@ -26,7 +30,15 @@ def progress_bar(
         return
     ended = threading.Event()
     total = experiment.budget * len(every)
-    with tqdm(total=total, unit=f" {experiment.unit}", unit_scale=True, smoothing=0.05) as bar:
+    pause = 0.1 if sys.stderr.isatty() else LOG_SECONDS
+    with tqdm(
+        total=total,
+        unit=f" {experiment.unit}",
+        unit_scale=True,
+        smoothing=0.05,
+        mininterval=pause,
+        maxinterval=2 * pause,
+    ) as bar:
         bar.update(sum(_done(experiment, files) for files in every))
         watcher = threading.Thread(target=_watch, args=(bar, experiment, every, ended), daemon=True)
         watcher.start()
@@ -42,7 +54,7 @@ def _watch(
 ) -> None:
     """Move the bar until the end is announced, and once more."""
     finished: dict[RunFiles, int] = {}
-    last = False
+    last, shown = False, 0.0
     while not last:
         last = ended.wait(POLL_SECONDS)
         for files in every:
@@ -51,7 +63,9 @@ def _watch(
         runs = sum(done == experiment.budget for done in finished.values())
         bar.set_postfix_str(f"{runs}/{len(every)} runs", refresh=False)
         bar.n = sum(finished.values())
-        bar.refresh()
+        if last or time.monotonic() - shown >= bar.mininterval:
+            shown = time.monotonic()
+            bar.refresh()
 
 
 def _done(experiment: Experiment, files: RunFiles) -> int:

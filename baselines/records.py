@@ -166,6 +166,14 @@ def open_log(path: Path) -> Iterator[RunLog]:
         yield RunLog(file)
 
 
+def is_being_written(path: Path) -> bool:
+    """Return whether a process has opened a run's file by `open_log`."""
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        return not _flock(file, wait=False)
+
+
 def read_records(path: Path) -> Records:
     """Read a file of records without a torn last line; `Records.torn` tells of one.
 

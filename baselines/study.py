@@ -87,11 +87,27 @@ def load_study(folder: Path) -> Study:
     return _read(folder)[1]
 
 
+def study_folders(folder: Path) -> list[Path]:
+    """Return the folders of experiments: this one, or those in it that `reproduce` made.
+
+    Raises:
+        RecordError: there is none.
+    """
+    if (folder / FILE).is_file():
+        return [folder]
+    below = sorted(path.parent for path in folder.glob(f"*/{FILE}"))
+    if not below:
+        raise RecordError(f"{folder}: holds no experiment ({FILE} is missing)")
+    return below
+
+
 def _read(folder: Path) -> tuple[dict[str, Any], Study]:
     path = folder / FILE
     if not path.is_file():
         raise RecordError(f"{folder}: holds no experiment ({FILE} is missing)")
     values: Any = parse_json(path.read_bytes()) if path.stat().st_size <= FILE_LIMIT else None
+    if not isinstance(values, dict):
+        raise RecordError(f"{path}: not an experiment (no JSON object of at most 16 MiB)")
     try:
         experiment = Experiment(
             environment=EnvironmentSpec(**values["environment"]),

@@ -133,6 +133,8 @@ def _check(options: Watch) -> None:
             raise ValueError(f"--{name}: {value}, must be at least {least}")
     if options.gif is not None and options.human:
         raise ValueError("--gif, --human: give one of them")
+    if options.gif is not None and options.gif.suffix.lower() != ".gif":
+        raise ValueError(f"--gif: {options.gif}, must end in .gif")
     if options.gif is not None and not options.gif.resolve().parent.is_dir():
         raise ValueError(f"--gif: there is no folder {options.gif.resolve().parent}")
     if options.human:

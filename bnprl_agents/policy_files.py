@@ -6,6 +6,7 @@ Nothing in a file is executed, no pickle is read, and the memory that reading ta
 from __future__ import annotations
 
 import contextlib
+import errno
 import io
 import json
 import math
@@ -44,9 +45,15 @@ class PolicyFileError(ValueError):
 
 
 def write_policy(path: str | os.PathLike[str], meta: dict[str, Any], arrays: Arrays) -> None:
-    """Write a policy file, which appears by atomic rename."""
+    """Write a policy file, which appears by atomic rename.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
     text = np.frombuffer(json.dumps(meta).encode(), dtype=np.uint8)
     target = Path(path)
+    if not target.parent.is_dir():
+        raise FileNotFoundError(errno.ENOENT, f"there is no folder {target.parent}", str(target))
     partial = target.with_name(f".{target.name}.{os.getpid()}.partial")
     try:
         with partial.open("wb") as file:
@@ -66,6 +73,8 @@ def read_policy(path: str | os.PathLike[str]) -> tuple[dict[str, Any], Arrays]:
     data = Path(path).read_bytes()
     with refusing_damage(path):
         arrays = _read_archive(data)
+        if "meta" not in arrays:
+            raise ValueError("it has no description, the array 'meta'")
         meta = json.loads(arrays.pop("meta").tobytes())
         if not isinstance(meta, dict):
             raise ValueError("its description is not a JSON object")

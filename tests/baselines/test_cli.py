@@ -11,12 +11,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from gymnasium.spaces import Discrete
 
 from baselines.cli import main
 from baselines.contenders import CONTENDERS
 from baselines.experiment import Entry
 from baselines.records import RunFiles, folder_lock, read_records
 from baselines.study import open_study
+from bnprl_agents import RandomAgent
 from tests.baselines.fakes import experiment
 from tests.baselines.interruption import ROOT, command, finish, kill_after, lines, summary
 
@@ -166,6 +168,7 @@ EM = ["compare", HALLWAY, "--agents", "online-em", *SMALL]
         ([*EM, "--set", "nodes=3"], "must be AGENT.FIELD=VALUE, AGENT one of online-em"),
         ([*EM, "--set", "online-em.noddes=3"], "did you mean nodes"),
         ([*EM, "--set", "online-em.nodes=many"], "'many' is no int"),
+        ([*EM, "--set", "online-em.nodes=2", "online-em.nodes=3"], "nodes: is given 2 times"),
         ([*EM, "--set", "online-em.nodes=0"], "nodes: 0, must be at least 1"),
     ],
 )
@@ -243,8 +246,16 @@ def test_folders_and_files_that_are_not_what_they_should_be(
     study.mkdir()
     open_study(study, experiment(Entry.of("random")), "command")
     assert "holds no policy yet" in refused(capsys, "evaluate", str(study))
+    for seed in (0, 1):
+        policy = RunFiles(study, "random", seed).policy(".npz")
+        policy.parent.mkdir(parents=True, exist_ok=True)
+        RandomAgent(Discrete(22), Discrete(5), discount=0.95, seed=seed).save(policy)
+    policy.write_bytes(b"damaged")
+    assert main(["evaluate", str(study), "--episodes", "10", "--no-progress"]) == 1
+    shown = capsys.readouterr()
+    assert "random" in shown.out
+    assert shown.err.startswith(f"bnprl: error: {policy}: not a bnprl policy file")
     damaged = RunFiles(study, "random", 0).records
-    damaged.parent.mkdir(parents=True)
     damaged.write_bytes(b"{}\n{}\n")
     assert f"{damaged}:1: " in refused(capsys, "report", str(study))
     assert damaged.read_bytes() == b"{}\n{}\n"
@@ -283,7 +294,8 @@ def heed_interrupts() -> None:
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of a terminal")
-def test_an_interrupt_says_how_to_go_on(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("number", "whom"), [(signal.SIGINT, "killpg"), (signal.SIGTERM, "kill")])
+def test_an_interrupt_says_how_to_go_on(tmp_path: Path, number: int, whom: str) -> None:
     out = tmp_path / "out"
     budget = ["--episodes", "100000", "--eval-episodes", "100", "--eval-points", "100"]  # minutes
     arguments = [*COMPARE, *budget, "--no-progress", "--jobs", "2", "--out", str(out)]
@@ -291,7 +303,9 @@ def test_an_interrupt_says_how_to_go_on(tmp_path: Path) -> None:
     deadline = time.monotonic() + 60
     while not sum(lines(out).values()) and time.monotonic() < deadline:
         time.sleep(0.01)
-    os.killpg(process.pid, signal.SIGINT)  # what a terminal does on Ctrl-C
+    getattr(os, whom)(
+        process.pid, number
+    )  # what a terminal does on Ctrl-C, and a scheduler at a job's end
     _, shown = process.communicate(timeout=30)
-    assert process.returncode == 130
+    assert process.returncode == 128 + number
     assert shown == "bnprl: interrupted; the same command resumes\n"

@@ -1,0 +1,70 @@
+"""The command `status`: what of an experiment is done, running, failed or still to come."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from baselines.experiment import Experiment
+from baselines.records import Record, RecordError, RunFiles, is_being_written
+from baselines.report import DASH, number, print_table
+from baselines.study import load_study, read_runs, study_folders
+from baselines.usage import usage_errors
+
+DONE, RUNNING, FAILED, STOPPED, WAITING = "done", "running", "failed", "stopped", "waiting"
+HEADER = ["run", "state", "share", "mean", "train seconds", "seconds left"]
+
+
+def status(folder: Path) -> int:
+    """Print the state of every run below a folder; return 1 if one failed, else 0."""
+    failures: list[RunFiles] = []
+    with usage_errors(RecordError):
+        for place in study_folders(folder):
+            experiment = load_study(place).experiment
+            runs = read_runs(experiment, place)
+            states = {files: _state(files, found.finished) for files, found in runs.items()}
+            counts = [list(states.values()).count(s) for s in (DONE, RUNNING, FAILED)]
+            print(
+                f"{place}: {experiment.environment.id}, {len(runs)} runs of {experiment.budget:,} "
+                f"{experiment.unit}: {counts[0]} done, {counts[1]} running, {counts[2]} failed"
+            )
+            rows = [_row(experiment, f, states[f], found.lines) for f, found in runs.items()]
+            print_table([HEADER, *rows])
+            failures += [files for files, state in states.items() if state == FAILED]
+    for files in failures:
+        print(f"failed: {files.name} ({failure(files)}); traceback in {files.error}")
+    return 1 if failures else 0
+
+
+def failure(files: RunFiles) -> str:
+    """Return the last line of a failed run's traceback."""
+    return files.error.read_text(errors="replace").strip().rpartition("\n")[2]
+
+
+def _state(files: RunFiles, finished: bool) -> str:
+    """Return what a run is doing; only the process that does it holds its file."""
+    if is_being_written(files.records):
+        return RUNNING
+    if finished:
+        return DONE
+    if files.error.exists():
+        return FAILED
+    return STOPPED if files.records.exists() else WAITING
+
+
+def _row(experiment: Experiment, files: RunFiles, state: str, lines: Sequence[Record]) -> list[str]:
+    """Return the cells of a run; the time left is that of its pace so far, evaluations included."""
+    if not lines:
+        return [files.name, state, *[DASH] * 4]
+    last = lines[-1]
+    share = 1.0 if last.final else min(1.0, getattr(last, experiment.unit) / experiment.budget)
+    spent = last.train_seconds + last.eval_seconds
+    left = spent * (1.0 / share - 1.0) if share and state == RUNNING else None
+    return [
+        files.name,
+        state,
+        f"{share:.0%}",
+        number(last.return_mean, ".3f"),
+        number(last.train_seconds, ",.1f"),
+        number(left, ",.0f"),
+    ]
