@@ -158,6 +158,16 @@ class Report:
 
 
 @dataclass(frozen=True)
+class Aggregate:
+    """Join comparisons of several environments: normalised scores, profiles, who beats whom."""
+
+    folders: Positional[tuple[Path, ...]]
+    """Folders that `compare` or `reproduce` wrote, one environment each."""
+    out: Path
+    """Folder for the tables and the picture."""
+
+
+@dataclass(frozen=True)
 class Status:
     """Show which runs are done, running, failed or still to come, and how long they will take."""
 
@@ -275,6 +285,7 @@ def _parse(given: list[str]) -> Any:
         "compare": Compare,
         "reproduce": Reproduce,
         "report": Report,
+        "aggregate": Aggregate,
         "status": Status,
         "plot": Plot,
         "bounds": Bounds,
@@ -328,6 +339,10 @@ def _run(command: Any, given: list[str]) -> int:
         from baselines.plot import plot
 
         return plot(command)
+    if isinstance(command, Aggregate):
+        from baselines.aggregate import aggregate
+
+        return aggregate(command)
     if isinstance(command, Status):
         from baselines.status import status
 

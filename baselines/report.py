@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import zlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
 from baselines.environment import EnvironmentSpec
 from baselines.experiment import METRIC, Experiment
+from baselines.head_to_head import Pair, pairs
 from baselines.records import Record, Records, RunFiles, write_atomic
 from baselines.statistics import CONFIDENCE, mean_interval
 from baselines.study import load_study, read_runs
@@ -24,6 +29,8 @@ REFERENCE_NAMES = {
 }
 """What the tables call the registry's references."""
 DASH = "–"
+
+PAIR_HEADER = ["better", "than", "difference", "P(better)", "p (Holm)"]
 
 Row = dict[str, Any]
 Curves = dict[str, list[tuple[Record, ...]]]
@@ -83,6 +90,16 @@ def summarise(experiment: Experiment, runs: Mapping[RunFiles, Records]) -> dict[
         "eval_episodes": experiment.eval_episodes,
         "unfinished_runs": sum(not records.finished for records in runs.values()),
         "rows": rows + reference_rows(experiment.environment),
+        "pairs": [dataclasses.asdict(pair) for pair in pairs(_finals(runs), experiment.root_seed)],
+    }
+
+
+def _finals(runs: Mapping[RunFiles, Records]) -> dict[str, list[npt.NDArray[np.float64]]]:
+    """Return the final values of the contenders that have any, as one environment's."""
+    return {
+        name: [np.array([lines[-1].return_mean for lines in finished])]
+        for name, finished in finished_runs(runs).items()
+        if finished
     }
 
 
@@ -181,6 +198,24 @@ def _cells(row: Row) -> list[str]:
         number(row["steps"], ",.0f"),
         number(row["episodes"], ",.0f"),
         number(row["train_seconds"], ",.1f"),
+    ]
+
+
+def pair_table(found: Sequence[Mapping[str, Any]]) -> list[list[str]]:
+    """Return the cells of a table of pairs, header first."""
+    rows = [Pair(**values) for values in found]
+    return [
+        PAIR_HEADER,
+        *(
+            [
+                row.first,
+                row.second,
+                number(row.difference, ".3f"),
+                number(row.improvement, ".2f"),
+                number(row.p_value, ".2g"),
+            ]
+            for row in rows
+        ),
     ]
 
 

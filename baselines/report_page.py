@@ -10,7 +10,7 @@ from string import Template
 from typing import Any
 
 from baselines.experiment import Entry
-from baselines.report import caption, table
+from baselines.report import caption, pair_table, table
 from baselines.study import Study
 
 _PAGE = Template("""<!DOCTYPE html>
@@ -62,6 +62,7 @@ dt { color: var(--faint); } dd { margin: 0; overflow-wrap: anywhere; }
 $rows
 </tbody>
 </table></div>
+$pairs
 <h2>Learning curves</h2>
 <picture><source media="(prefers-color-scheme: dark)" srcset="$dark">
 <img src="$light" alt="Learning curves over environment steps and over seconds: $alternative">
@@ -118,6 +119,7 @@ def page(study: Study, summary: Mapping[str, Any], light: bytes, dark: bytes) ->
         caption=escape(caption(summary)),
         header="".join(f'<th scope="col"><button>{escape(cell)}</button></th>' for cell in header),
         rows="\n".join(_row(cells, flag) for cells, flag in zip(rows, flags, strict=True)),
+        pairs=_pairs(summary),
         light=_data(light),
         dark=_data(dark),
         alternative=escape("; ".join(f"{cells[0]} ends at {cells[1]}" for cells in rows)),
@@ -126,6 +128,21 @@ def page(study: Study, summary: Mapping[str, Any], light: bytes, dark: bytes) ->
         sources=_sources(summary),
         versions=_definitions(study.versions),
         commands=escape("\n".join(study.commands)),
+    )
+
+
+def _pairs(summary: Mapping[str, Any]) -> str:
+    """Return the table of who beats whom, nothing where there is one contender."""
+    header, *rows = pair_table(summary["pairs"])
+    if not rows:
+        return ""
+    head = "".join(f'<th scope="col">{escape(cell)}</th>' for cell in header)
+    body = "\n".join(_row(cells, False) for cells in rows)
+    return (
+        "<details><summary>Head to head</summary>\n<p>Means over runs, the probability that a run "
+        "of the one beats a run of the other, and a two-sided permutation test corrected for the "
+        f'number of pairs.</p>\n<div class="scroll"><table id="pairs"><thead><tr>{head}</tr>'
+        f"</thead>\n<tbody>\n{body}\n</tbody></table></div></details>"
     )
 
 

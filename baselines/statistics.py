@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy.typing as npt
 
 CONFIDENCE = 0.95
 RESAMPLES = 9_999
+STRATIFIED_RESAMPLES = 2_000
 DRAWS = 10_000_000
 """Largest number of draws of one interval; large samples get fewer resamples."""
 
@@ -49,6 +51,33 @@ def mean_interval(values: npt.ArrayLike, confidence: float = CONFIDENCE, seed: i
         return Interval(mean, None, None)
     low, high = _bootstrap(sample[:, None], confidence, seed)
     return Interval(mean, float(low[0]), float(high[0]))
+
+
+def bootstrap_interval(
+    strata: Sequence[FloatArray],
+    statistic: Callable[[list[FloatArray]], FloatArray],
+    confidence: float = CONFIDENCE,
+    seed: int = 0,
+) -> Interval:
+    """Return a statistic of several samples with its percentile interval.
+
+    Each sample is resampled by itself (a stratified bootstrap), so that every resample has as many
+    values of each.
+
+    Args:
+        strata: samples, each (n,) with n at least 1; one value each: there is no interval.
+        statistic: samples (..., n) -> (...,).
+        confidence: in (0, 1).
+        seed: of the resampling.
+    """
+    value = float(statistic(list(strata)))
+    if all(len(sample) == 1 for sample in strata):
+        return Interval(value, None, None)
+    rng = np.random.default_rng(seed)
+    drawn = [rng.choice(sample, (STRATIFIED_RESAMPLES, len(sample))) for sample in strata]
+    tail = (1.0 - confidence) / 2.0
+    low, high = np.quantile(statistic(drawn), (tail, 1.0 - tail))
+    return Interval(value, min(float(low), value), max(float(high), value))
 
 
 def mean_band(

@@ -1,0 +1,147 @@
+"""The command `aggregate`: one verdict over the comparisons of several environments."""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from baselines.head_to_head import interquartile_mean, pairs, performance_profile
+from baselines.records import RecordError, write_atomic
+from baselines.report import DASH, finished_runs, number, pair_table, print_table
+from baselines.study import load_study, read_runs, study_folders
+from baselines.usage import usage_errors
+from bnprl_envs import registry
+
+if TYPE_CHECKING:
+    from baselines.cli import Aggregate
+
+FloatArray = npt.NDArray[np.float64]
+Scores = dict[str, dict[str, FloatArray]]
+"""Contender -> environment -> (n,) score of each run, 0 as random and 1 as the best known."""
+
+THRESHOLDS = np.linspace(-0.25, 1.1, 136)
+HEADER = ["agent", "interquartile mean", "95% interval", "mean", "runs"]
+
+
+def aggregate(options: Aggregate) -> int:
+    """Normalise, summarise and draw; return the exit code."""
+    with usage_errors(RecordError, ValueError):
+        scores = read_scores(options.folders)
+        summary = summarise(scores)
+        options.out.mkdir(parents=True, exist_ok=True)
+        write_atomic(options.out / "summary.json", json.dumps(summary, indent=2) + "\n")
+        write_atomic(options.out / "profiles.png", draw_profiles(scores))
+    environments = summary["environments"]
+    print(f"scores (0 random, 1 best known) over {len(environments)}: {', '.join(environments)}")
+    print_table([HEADER, *(_cells(row) for row in summary["rows"])])
+    print_table(pair_table(summary["pairs"]))
+    print(f"performance profiles: {options.out / 'profiles.png'}")
+    return 0
+
+
+def read_scores(folders: Sequence[Path]) -> Scores:
+    """Return the normalised final scores of the contenders that every folder has.
+
+    Raises:
+        RecordError: a folder holds no experiment.
+        ValueError: an environment is there twice, or has no known random and best values, or
+            no contender has finished runs in all of them.
+    """
+    found: dict[str, dict[str, FloatArray]] = {}
+    for folder in (place for given in folders for place in study_folders(given)):
+        study = load_study(folder)
+        environment = study.experiment.environment.id
+        if environment in found:
+            raise ValueError(f"{folder}: {environment} is there twice")
+        low, high = _ends(environment, study.experiment.environment.kwargs)
+        runs = finished_runs(read_runs(study.experiment, folder))
+        found[environment] = {
+            name: (np.array([run[-1].return_mean for run in finished]) - low) / (high - low)
+            for name, finished in runs.items()
+            if finished
+        }
+    common = [n for n in next(iter(found.values())) if all(n in of for of in found.values())]
+    if not common:
+        raise ValueError("no agent has finished runs in every folder")
+    return {name: {id: of[name] for id, of in found.items()} for name in common}
+
+
+def _ends(id: str, kwargs: Mapping[str, Any]) -> tuple[float, float]:
+    """Return the values of random play and the best known one."""
+    known = {}
+    if id in registry.environment_ids() and not kwargs:
+        known = {r.name: r.value for r in registry.entry(id).references}
+    if "random" not in known or "lower" not in known:
+        raise ValueError(f"{id}: the values of random play and of the best policy are not known")
+    return known["random"], known["lower"]
+
+
+def summarise(scores: Scores) -> dict[str, Any]:
+    """Return the rows, best interquartile mean first, and every pair, as JSON values."""
+    rows = []
+    for name, of in scores.items():
+        interval = interquartile_mean(list(of.values()))
+        rows.append(
+            {
+                "agent": name,
+                "iqm": interval.mean,
+                "ci_low": interval.low,
+                "ci_high": interval.high,
+                "mean": float(np.mean([values.mean() for values in of.values()])),
+                "runs": sum(len(values) for values in of.values()),
+            }
+        )
+    strata = {name: list(of.values()) for name, of in scores.items()}
+    return {
+        "environments": list(next(iter(scores.values()))),
+        "rows": sorted(rows, key=lambda row: -float(row["iqm"])),
+        "pairs": [dataclasses.asdict(pair) for pair in pairs(strata)],
+    }
+
+
+def _cells(row: Mapping[str, Any]) -> list[str]:
+    low, high = number(row["ci_low"], ".3f"), number(row["ci_high"], ".3f")
+    return [
+        row["agent"],
+        number(row["iqm"], ".3f"),
+        DASH if row["ci_low"] is None else f"{low} to {high}",
+        number(row["mean"], ".3f"),
+        number(row["runs"], ",d"),
+    ]
+
+
+def draw_profiles(scores: Scores) -> bytes:
+    """Return a picture (PNG): share of runs above each score."""
+    from matplotlib.figure import Figure
+
+    from baselines.curves import COLOURS, STYLES, dress
+
+    figure = Figure(figsize=(7.5, 4.6), layout="constrained")
+    axes = figure.subplots()
+    for index, (name, of) in enumerate(scores.items()):
+        profile = performance_profile(list(of.values()), THRESHOLDS)
+        axes.plot(
+            THRESHOLDS,
+            profile,
+            STYLES[index // 2 % len(STYLES)],
+            color=COLOURS[index % len(COLOURS)],
+            label=name,
+            linewidth=2,
+        )
+    axes.set(
+        xlabel="normalised score s (0 random, 1 best known)",
+        ylabel="share of runs above s",
+        title=f"Performance profiles over {len(next(iter(scores.values())))} environments",
+    )
+    axes.legend(frameon=False)
+    dress(axes, "#1f2328", "#ffffff")
+    picture = io.BytesIO()
+    figure.savefig(picture, format="png", dpi=130, metadata={"Software": None})
+    return picture.getvalue()
