@@ -135,12 +135,14 @@ class Reproduce:
     A command that was interrupted goes on when it is given again.
     """
 
-    name: Positional[str]
-    """Experiment."""
+    name: Positional[str | None] = None
+    """Experiment; or give --all."""
+    all: bool = False
+    """Every experiment, one after the other, and one page about all of them."""
     quick: bool = False
-    """Few seeds and steps: two minutes on two cores."""
+    """Few seeds and steps: two minutes on two cores for each experiment."""
     out: Path | None = None
-    """Folder for the records, the figure and the tables; below results/ if not given."""
+    """Folder for the records, the figure, the tables and the page; below results/ if not given."""
     jobs: int | None = None
     """Runs at the same time; as many as cores if not given."""
     engine: Literal["joblib", "ray", "dask"] = "joblib"

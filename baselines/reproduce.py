@@ -14,10 +14,18 @@ from baselines.commands import check_sb3, conduct, try_out
 from baselines.experiment import Experiment
 from baselines.records import Record, write_atomic
 from baselines.report import DASH, finished_runs, number, print_table, reference_rows
-from baselines.reproduction import Comparison, Computation, Lines, Measure, Reproduction, find
+from baselines.reproduction import (
+    Comparison,
+    Computation,
+    Lines,
+    Measure,
+    Reproduction,
+    find,
+    names,
+)
 from baselines.statistics import mean_interval
 from baselines.study import read_runs
-from baselines.usage import usage_errors
+from baselines.usage import UsageError, usage_errors
 
 if TYPE_CHECKING:
     from baselines.cli import Reproduce
@@ -26,10 +34,24 @@ Row = dict[str, Any]
 
 
 def reproduce(options: Reproduce, given: Sequence[str]) -> int:
-    """Run what is not finished yet and report everything; return the exit code."""
+    """Run what is not finished yet of one experiment or of all; return the exit code."""
+    if options.all == (options.name is not None):
+        raise UsageError("give the name of an experiment, or --all")
+    suffix = "-quick" * options.quick
+    if options.name is not None:
+        folder = options.out or Path("results") / (options.name + suffix)
+        return _reproduce(options.name, folder, options, given)
+    root = options.out or Path("results") / f"all{suffix}"
+    failed = 0
+    for name in names():
+        failed |= _reproduce(name, root / name, options, given)
+    write_page("Tables and figures of the source", root, [root / name for name in names()])
+    return failed
+
+
+def _reproduce(name: str, folder: Path, options: Reproduce, given: Sequence[str]) -> int:
     with usage_errors():
-        reproduction = find(options.name)
-        folder = options.out or Path("results") / (options.name + "-quick" * options.quick)
+        reproduction = find(name)
         for panel in reproduction.panels:
             for experiment in _experiments(panel, options.quick).values():
                 _check(experiment)
@@ -46,8 +68,18 @@ def reproduce(options: Reproduce, given: Sequence[str]) -> int:
                 progress=options.progress,
             )
     folder.mkdir(parents=True, exist_ok=True)
-    write(options.name, reproduction, folder, options.quick)
+    write(name, reproduction, folder, options.quick)
+    write_page(reproduction.title, folder, [folder])
     return failed
+
+
+def write_page(title: str, folder: Path, of: Sequence[Path]) -> None:
+    """Write report.html about the reproductions in folders."""
+    from baselines.reproduction_page import page
+
+    summaries = {place: json.loads((place / "summary.json").read_bytes()) for place in of}
+    write_atomic(folder / "report.html", page(title, summaries))
+    print(f"report: {folder / 'report.html'}")
 
 
 def _experiments(panel: Comparison | Computation, quick: bool) -> dict[str, Experiment]:
@@ -82,7 +114,15 @@ def write(name: str, reproduction: Reproduction, folder: Path, quick: bool) -> N
         }
         for panel, found in zip(reproduction.panels, lines, strict=True)
     ]
-    values = {"experiment": name, "title": reproduction.title, "quick": quick, "panels": tables}
+    values = {
+        "experiment": name,
+        "title": reproduction.title,
+        "shape": reproduction.shape,
+        "notes": reproduction.notes,
+        "quick": quick,
+        "command": f"bnprl reproduce {name}{' --quick' * quick}",
+        "panels": tables,
+    }
     write_atomic(folder / "summary.json", json.dumps(values, indent=2, allow_nan=False) + "\n")
     write_atomic(folder / "summary.md", markdown(reproduction, tables, quick))
     picture = draw_table(reproduction, tables) if _is_table(reproduction) else None

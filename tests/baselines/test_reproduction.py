@@ -109,6 +109,24 @@ def test_panels_are_run_resumed_and_reported(tmp_path, monkeypatch, capsys):
     assert "figure: " in capsys.readouterr().out
 
 
+def test_all_experiments_are_one_page(tmp_path, monkeypatch):
+    line = Reproduction("<line>", TINY.panels[2:], notes=("1 < 2",))
+    both = Reproduction("lines in a table", line.panels, shape="table")
+    monkeypatch.setattr(
+        "baselines.reproduce.names", lambda: {"figure-1.1": None, "table-1.2": None}
+    )
+    monkeypatch.setattr("baselines.reproduce.find", {"figure-1.1": line, "table-1.2": both}.get)
+    assert cli.main(["reproduce", "--all", "--quick", "--out", str(tmp_path)]) == 0
+    page = (tmp_path / "report.html").read_text()
+    assert page.count("<section") == 2
+    assert "&lt;line&gt;" in page
+    assert "1 &lt; 2" in page
+    assert "bnprl reproduce figure-1.1 --quick" in page
+    assert (tmp_path / "table-1.2" / "report.html").is_file()
+    for wrong in ([], ["figure-1.1", "--all"]):
+        assert cli.main(["reproduce", *wrong]) == 2
+
+
 def test_a_table_has_a_row_for_each_environment(tmp_path, monkeypatch, capsys):
     small = {"seeds": 2, "eval_points": 1, "eval_episodes": 5}
     panels = tuple(

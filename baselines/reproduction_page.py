@@ -1,0 +1,58 @@
+"""The page of reproductions: of each table or figure its picture, its numbers and what to know."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from baselines import web_page
+from baselines.reproduce import cells, side_by_side
+
+
+def page(title: str, summaries: Mapping[Path, Mapping[str, Any]]) -> str:
+    """Return the page as HTML.
+
+    Args:
+        title: its heading.
+        summaries: folder of a reproduction, where its figure is -> what its summary.json says.
+    """
+    sections = [_section(folder, summary) for folder, summary in summaries.items()]
+    listing = "".join(
+        f'<li><a href="#{escape(summary["experiment"])}">{escape(summary["experiment"])}</a>: '
+        f"{escape(summary['title'])}</li>"
+        for summary in summaries.values()
+    )
+    contents = f"<ul>{listing}</ul>\n" if len(summaries) > 1 else ""
+    return web_page.document(title, contents + "\n".join(sections))
+
+
+def _section(folder: Path, summary: Mapping[str, Any]) -> str:
+    name = escape(summary["experiment"])
+    size = " (quick size: far fewer seeds and steps)" if summary["quick"] else ""
+    picture = web_page.data((folder / "figure.png").read_bytes())
+    notes = "\n".join(f"<p>{escape(note)}</p>" for note in summary["notes"])
+    return f"""<section id="{name}">
+<h2>{name}: {escape(summary["title"])}{size}</h2>
+<img class="paper" src="{picture}" alt="{escape(summary["title"])}; its numbers are in the tables">
+{notes}
+{_tables(name, summary)}
+<p class="faint">Italic: numbers of the source and of the registry. Intervals are 95% bootstrap
+intervals over seeds.</p>
+<pre>{escape(summary["command"])}</pre>
+</section>"""
+
+
+def _tables(name: str, summary: Mapping[str, Any]) -> str:
+    """Return one table of everything where that is the shape, and each panel's below it."""
+    panels: Sequence[Mapping[str, Any]] = summary["panels"]
+    found = []
+    if summary["shape"] == "table":
+        found.append(web_page.table(f"{name}-all", side_by_side(panels)))
+    for panel in panels:
+        flags = [row["source"] is not None for row in panel["rows"]]
+        table = web_page.table(f"{name}-{panel['name']}", cells(panel["rows"], panel["x"]), flags)
+        heading = f"{escape(panel['title'])}: {escape(panel['measure'])}"
+        found.append(f"<details><summary>{heading}</summary>{table}</details>")
+    return "\n".join(found)
