@@ -122,6 +122,8 @@ class Compare:
     """Evaluations of each run, evenly spread over the budget."""
     engine: Literal["joblib", "ray", "dask"] = "joblib"
     """What spreads the runs: processes here, or a cluster of Ray or Dask."""
+    address: str | None = None
+    """Of a cluster that is there already and sees the same files; one is started if not given."""
     tensorboard: bool = False
     """Write TensorBoard's logs below the folder (Stable-Baselines3's agents)."""
     progress: Progress = True
@@ -147,6 +149,8 @@ class Reproduce:
     """Runs at the same time; as many as cores if not given."""
     engine: Literal["joblib", "ray", "dask"] = "joblib"
     """What spreads the runs: processes here, or a cluster of Ray or Dask."""
+    address: str | None = None
+    """Of a cluster that is there already and sees the same files; one is started if not given."""
     progress: Progress = True
     """Show a progress bar."""
 

@@ -26,11 +26,12 @@ from baselines.sb3_checks import check_served
 from baselines.status import failure
 from baselines.study import load_study, open_study, read_runs, study_folders
 from baselines.usage import usage_errors
+from baselines.workers import EngineError, Workers
 from bnprl_agents.controllers.learner import NegativeRewardError
 from bnprl_envs import registry
 
 if TYPE_CHECKING:
-    from baselines.cli import Compare, Train
+    from baselines.cli import Compare, Reproduce, Train
 
 
 _log = logging.getLogger(__name__)
@@ -72,7 +73,7 @@ def train(options: Train, given: Sequence[str]) -> int:
         experiment,
         options.out,
         given,
-        jobs=1,
+        Workers(),
         tensorboard=options.tensorboard,
         progress=options.progress,
     )
@@ -81,8 +82,7 @@ def train(options: Train, given: Sequence[str]) -> int:
 def compare(options: Compare, given: Sequence[str]) -> int:
     """Compare agents."""
     with usage_errors():
-        if options.jobs is not None and options.jobs < 1:
-            raise ValueError(f"--jobs: {options.jobs}, must be at least 1")
+        workers = workers_of(options)
         experiment = Experiment(
             environment=environment_of(options.id),
             entries=configured_entries(options.agents, options.set),
@@ -102,11 +102,22 @@ def compare(options: Compare, given: Sequence[str]) -> int:
         experiment,
         options.out,
         given,
-        jobs=options.jobs,
-        engine=options.engine,
+        workers,
         tensorboard=options.tensorboard,
         progress=options.progress,
     )
+
+
+def workers_of(options: Compare | Reproduce) -> Workers:
+    """Return what the options spread runs over: as many processes as cores if not given.
+
+    Raises:
+        ValueError: as `Workers`.
+    """
+    import joblib
+
+    jobs = joblib.cpu_count() if options.jobs is None else options.jobs
+    return Workers(jobs, options.engine, options.address)
 
 
 def environment_of(id: str) -> EnvironmentSpec:
@@ -164,26 +175,22 @@ def conduct(
     experiment: Experiment,
     folder: Path,
     given: Sequence[str],
+    workers: Workers,
     *,
-    jobs: int | None = None,
-    engine: str = "joblib",
     tensorboard: bool = False,
     progress: bool = True,
 ) -> int:
     """Run an experiment in its folder and report it; return the exit code."""
-    import joblib
-
     from baselines.execution import execute
 
     with _locked(folder):
         with usage_errors():
             open_study(folder, experiment, shlex.join(["bnprl", *given]))
-        with usage_errors(RecordError, MissingExtraError):
+        with usage_errors(RecordError, MissingExtraError, EngineError):
             failed = execute(
                 experiment,
                 folder,
-                jobs=joblib.cpu_count() if jobs is None else jobs,
-                engine=engine,
+                workers,
                 tensorboard=tensorboard,
                 progress=progress,
             )

@@ -2,36 +2,33 @@
 
 from __future__ import annotations
 
-import contextlib
 import functools
-import importlib
 import math
 import os
 import signal
 import threading
 import time
 import traceback
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import joblib
 import numpy as np
 
-from baselines.contenders import Learner, MissingExtraError, build_learner
+from baselines.contenders import Learner, build_learner
 from baselines.evaluation import evaluate
 from baselines.experiment import Experiment
 from baselines.progress_bar import progress_bar
 from baselines.records import Record, Records, RunFiles, RunLog, open_log
 from baselines.study import read_runs
+from baselines.workers import Workers
 from bnprl_agents.training import Progress
 
 OWNER_SECONDS = 0.2
 """Time between two looks of a worker at whether its owner lives."""
 WARM_UP_EPISODES = 8
 """Enough for a first update of the learners that compile much."""
-ENGINES = ("joblib", "ray", "dask")
 
 
 @dataclass(frozen=True)
@@ -54,9 +51,8 @@ class Run:
 def execute(
     experiment: Experiment,
     folder: Path,
+    workers: Workers,
     *,
-    jobs: int = 1,
-    engine: str = "joblib",
     tensorboard: bool = False,
     progress: bool = True,
 ) -> list[RunFiles]:
@@ -65,8 +61,7 @@ def execute(
     Args:
         experiment: what to run.
         folder: where its records are and go.
-        jobs: runs at the same time.
-        engine: "joblib" (processes here), or a "ray" or "dask" cluster.
+        workers: what the runs are spread over; all of them see the folder.
         tensorboard: write TensorBoard's logs below the folder.
         progress: show a bar.
 
@@ -75,23 +70,24 @@ def execute(
 
     Raises:
         RecordError: the records of a run are damaged.
-        MissingExtraError: the engine is not installed.
+        EngineError, MissingExtraError: as `Workers.map`.
     """
+    owner: int | None = os.getpid()
+    if workers.engine != "joblib":  # elsewhere, maybe, and started in another folder
+        owner, folder = None, folder.resolve()
     logs = folder / "tensorboard" if tensorboard else None
     found = read_runs(experiment, folder, repair=True)
-    runs = [
-        Run(experiment, files, logs, os.getpid() if engine == "joblib" else None)
-        for files in _longest_first(experiment, found)
-        if not (found[files].finished and files.find_policy())
-    ]
+    every = [Run(experiment, files, logs, owner) for files in _longest_first(experiment, found)]
+    runs = [run for run in every if not _finished(run)]
     if not runs:
         return []
-    with (
-        _engine(engine, min(jobs, len(runs))),
-        progress_bar(experiment, tuple(found), shown=progress),
-    ):
-        done = joblib.Parallel()(joblib.delayed(_attempt)(run) for run in runs)
-    return [run.files for run, good in zip(runs, done, strict=True) if not good]
+    with progress_bar(experiment, tuple(found), shown=progress):
+        done = workers.map(_attempt, runs, _finished)
+    return [run.files for run, good in zip(runs, done, strict=True) if good is False]
+
+
+def _finished(run: Run) -> bool:
+    return run.files.read().finished and run.files.find_policy() is not None
 
 
 def _longest_first(experiment: Experiment, found: Mapping[RunFiles, Records]) -> list[RunFiles]:
@@ -105,31 +101,6 @@ def _longest_first(experiment: Experiment, found: Mapping[RunFiles, Records]) ->
     for entry in experiment.entries:
         known.setdefault(entry.name, math.inf if entry.learner.family == "sb3" else 0.0)
     return sorted(found, key=lambda files: -known[files.contender])
-
-
-@contextlib.contextmanager
-def _engine(engine: str, jobs: int) -> Iterator[None]:
-    """Choose joblib's backend for the block."""
-    if engine == "dask":
-        client = _optional("dask.distributed", "dask").Client(n_workers=jobs, threads_per_worker=1)
-        with client, joblib.parallel_config("dask"):
-            yield
-    elif engine == "ray":
-        _optional("ray.util.joblib", "ray").register_ray()
-        with joblib.parallel_config("ray", n_jobs=jobs):
-            yield
-    else:
-        with joblib.parallel_config("loky", n_jobs=jobs, inner_max_num_threads=1):
-            yield
-
-
-def _optional(module: str, extra: str) -> Any:
-    try:
-        return importlib.import_module(module)
-    except ImportError as error:
-        raise MissingExtraError(
-            f'{extra} cannot be imported ({error}): pip install "bnprl[{extra}]"'
-        ) from error
 
 
 def _attempt(run: Run) -> bool:
@@ -171,7 +142,7 @@ def run_one(run: Run) -> None:
     experiment, files = run.experiment, run.files
     entry = experiment.entry(files.contender)
     with open_log(files.records) as log:
-        if files.read().finished and files.find_policy():
+        if _finished(run):
             return
         log.restart()
         seed, _ = experiment.run_seeds(entry.name, files.seed)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from baselines.commands import check_sb3, conduct, try_out
+from baselines.commands import check_sb3, conduct, try_out, workers_of
 from baselines.experiment import Experiment
 from baselines.records import Record, write_atomic
 from baselines.report import DASH, finished_runs, number, print_table, reference_rows
@@ -51,6 +51,7 @@ def reproduce(options: Reproduce, given: Sequence[str]) -> int:
 
 def _reproduce(name: str, folder: Path, options: Reproduce, given: Sequence[str]) -> int:
     with usage_errors():
+        workers = workers_of(options)
         reproduction = find(name)
         for panel in reproduction.panels:
             for experiment in _experiments(panel, options.quick).values():
@@ -63,8 +64,7 @@ def _reproduce(name: str, folder: Path, options: Reproduce, given: Sequence[str]
                 experiment,
                 folder / name,
                 given,
-                jobs=options.jobs,
-                engine=options.engine,
+                workers,
                 progress=options.progress,
             )
     folder.mkdir(parents=True, exist_ok=True)

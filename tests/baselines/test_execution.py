@@ -14,6 +14,7 @@ from baselines.execution import execute
 from baselines.experiment import Entry, Experiment, configured_entries
 from baselines.records import RecordError, RunFiles
 from baselines.study import load_study, open_study
+from baselines.workers import Workers
 from tests.baselines.fakes import FakeSettings, experiment, install
 
 
@@ -23,7 +24,7 @@ def fake(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def run(folder: Path, chosen: Experiment, **options: Any) -> list[RunFiles]:
-    return execute(chosen, folder, progress=False, **options)
+    return execute(chosen, folder, options.pop("workers", Workers()), progress=False, **options)
 
 
 def values(folder: Path, name: str = "fake", seed: int = 0) -> list[dict[str, Any]]:
@@ -227,16 +228,16 @@ def test_entries_are_checked() -> None:
 
 @pytest.mark.parametrize("engine", ["ray", "dask"])
 def test_a_missing_engine_says_what_to_install(
-    tmp_path: Path, engine: str, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, engine: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for module in ("ray", "dask", "dask.distributed", "ray.util.joblib"):
         monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(MissingExtraError, match=rf'pip install "bnprl\[{engine}\]"'):
-        run(tmp_path, experiment(), engine=engine)
+        run(tmp_path, experiment(), workers=Workers(engine=engine))
 
 
 def test_the_bar_follows_the_records(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    execute(experiment(), tmp_path, progress=True)
+    execute(experiment(), tmp_path, Workers(), progress=True)
     shown = capsys.readouterr().err
     assert "2/2 runs" in shown
     assert "200/200" in shown
