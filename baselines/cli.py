@@ -56,7 +56,7 @@ class Train:
     id: Positional[Environment]
     """Environment id, or path of a .POMDP or .dpomdp file."""
     agent: str
-    """Agent; `bnprl list agents` names them."""
+    """Agent; `bnprl list agents` names them, MODULE:CLASS is one of your own."""
     out: Path
     """Folder for the records, the policy and the report."""
     episodes: int | None = None
@@ -85,6 +85,8 @@ class Evaluate:
     """Episodes for each policy."""
     env: str | None = None
     """Environment id or model file, for a policy file outside such a folder."""
+    agent: str | None = None
+    """MODULE:CLASS of the policies, where that is an agent of your own."""
     seed: int = 0
     """Everything random is derived from it."""
     progress: Progress = True
@@ -101,7 +103,7 @@ class Compare:
     id: Positional[Environment]
     """Environment id, or path of a .POMDP or .dpomdp file."""
     agents: tuple[str, ...]
-    """Agents; `bnprl list agents` names them."""
+    """Agents; `bnprl list agents` names them, MODULE:CLASS is one of your own."""
     out: Path
     """Folder for the records, the policies and the report."""
     episodes: int | None = None

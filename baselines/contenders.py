@@ -16,6 +16,7 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
+from baselines import own
 from baselines.environment import EnvironmentSpec
 from baselines.evaluation import Policy
 from bnprl_agents.agent import Agent, load
@@ -55,21 +56,24 @@ class Contender:
     Attributes:
         name: on the command line.
         summary: one line for listings.
-        family: whose it is.
-        defaults: "module:class" of its settings, imported when first used.
+        family: whose it is; "own" is the user's.
+        defaults: "module:class" of its settings, imported when first used; of an own agent its
+            `Config`.
         build: "module:class" of a subclass of `Agent`, or, for family "sb3", of a `Learner`
             whose constructor takes (environment, settings, seed, tensorboard).
     """
 
     name: str
     summary: str
-    family: Literal["bnprl", "sb3"]
+    family: Literal["bnprl", "sb3", "own"]
     defaults: str
     build: str
 
     @cached_property
     def settings(self) -> Any:
         """The default settings: an instance of a frozen dataclass."""
+        if self.family == "own":
+            return own.agent_class(self.build).Config()
         return _resolve(self.defaults)()
 
 
@@ -205,13 +209,15 @@ CONTENDERS: dict[str, Contender] = {
 
 
 def contender(name: str) -> Contender:
-    """Return the contender of a name.
+    """Return the contender of a name; of "module:class" the user's own, which nothing imports yet.
 
     Raises:
         ValueError: there is none; near misses are named.
     """
     if name in CONTENDERS:
         return CONTENDERS[name]
+    if own.is_own(name):
+        return Contender(name, f"an agent of {name.partition(':')[0]}", "own", "", name)
     near = difflib.get_close_matches(name.lower(), CONTENDERS, n=3)
     hint = f"did you mean {' or '.join(near)}?" if near else f"known: {', '.join(CONTENDERS)}"
     raise ValueError(f"unknown agent {name!r}; {hint}")
@@ -303,6 +309,8 @@ def build_learner(
             f"settings: {type(chosen).__name__}, but {contender.name} has "
             f"{type(contender.settings).__name__}"
         )
+    if contender.family == "own":
+        return AgentLearner(own.agent_class(contender.build), environment, chosen, seed)
     target = _resolve(contender.build)
     if contender.family == "bnprl":
         return AgentLearner(target, environment, chosen, seed)
@@ -310,10 +318,15 @@ def build_learner(
     return learner
 
 
-def load_policy(path: str | os.PathLike[str]) -> Policy:
+def load_policy(path: str | os.PathLike[str], agent: str | None = None) -> Policy:
     """Read the policy file of any contender.
 
+    Args:
+        path: of the file.
+        agent: "module:class" that saved it, if it is the user's own.
+
     Raises:
+        ValueError: there is no such class.
         PolicyFileError: the file does not hold a policy.
         MissingExtraError: a dependency is not installed.
         OSError: the file cannot be read.
@@ -322,7 +335,7 @@ def load_policy(path: str | os.PathLike[str]) -> Policy:
     if meta.get("format") == "bnprl-sb3-policy":
         policy: Policy = _resolve("baselines.sb3:load_sb3_policy")(path)
         return policy
-    return load(path)
+    return load(path, None if agent is None else own.agent_class(agent))
 
 
 def _resolve(target: str) -> Any:

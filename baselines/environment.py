@@ -14,6 +14,7 @@ import gymnasium as gym
 import pettingzoo
 from gymnasium.vector import VectorEnv
 
+from baselines.own import import_module
 from bnprl_envs import registry
 from bnprl_envs.model import TabularModel
 
@@ -208,10 +209,7 @@ class EnvironmentSpec:
         """The id without the module before its colon, which is imported."""
         module, _, name = self.id.rpartition(":")
         if module:
-            try:
-                importlib.import_module(module)
-            except ImportError as error:
-                raise ValueError(f"{self.id}: cannot import {module} ({error})") from error
+            import_module(module, self.id)
         return name
 
     def _entry(self) -> registry.Entry | None:

@@ -15,6 +15,8 @@ from baselines.commands import environment_of
 from baselines.contenders import load_policy
 from baselines.environment import EnvironmentSpec
 from baselines.evaluation import Evaluation, evaluate
+from baselines.experiment import Experiment
+from baselines.own import is_own
 from baselines.records import RunFiles
 from baselines.report import DASH, number, print_table
 from baselines.statistics import mean_interval
@@ -40,7 +42,7 @@ def evaluate_policies(options: Evaluate) -> int:
         damaged: list[str] = []
         for name, path in tqdm(policies, unit=" policies", disable=not options.progress, delay=1):
             try:
-                policy = load_policy(path)
+                policy = load_policy(path, options.agent)
             except PolicyFileError as error:
                 if len(policies) == 1:
                     raise
@@ -63,13 +65,13 @@ def _find_policies(options: Evaluate) -> tuple[EnvironmentSpec, list[tuple[str, 
     if not target.exists():
         raise ValueError(f"{target}: no such file or folder")
     if target.is_file():
-        load_policy(target)  # what is wrong with the file is said first
+        load_policy(target, options.agent)  # what is wrong with the file is said first
         if options.env is not None:
             return environment_of(options.env), [(target.name, target)]
         folder = target.resolve().parent.parent.parent
         if not (folder / "experiment.json").is_file():
             raise ValueError(f"{target}: lies in no experiment's folder; name it with --env ID")
-        return load_study(folder).experiment.environment, [(target.name, target)]
+        return _trusted(load_study(folder).experiment), [(target.name, target)]
     experiment = load_study(target).experiment
     runs = (
         RunFiles(target, entry.name, index)
@@ -85,8 +87,21 @@ def _find_policies(options: Evaluate) -> tuple[EnvironmentSpec, list[tuple[str, 
         )
     if not policies:
         raise ValueError(f"{target}: holds no policy yet")
-    environment = experiment.environment if options.env is None else environment_of(options.env)
+    environment = _trusted(experiment) if options.env is None else environment_of(options.env)
     return environment, policies
+
+
+def _trusted(experiment: Experiment) -> EnvironmentSpec:
+    """Return the environment that a record names, unless that would import a module.
+
+    Raises:
+        ValueError: it would.
+    """
+    if is_own(experiment.environment.id):
+        raise ValueError(
+            f"the folder names a module to import; allow it with --env {experiment.environment.id}"
+        )
+    return experiment.environment
 
 
 def _evaluation_row(name: str, results: Sequence[Evaluation], options: Evaluate) -> list[str]:

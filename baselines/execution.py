@@ -150,7 +150,7 @@ def run_one(run: Run) -> None:
         build = functools.partial(
             build_learner, entry.learner, experiment.environment, entry.build_settings(), seed
         )
-        if entry.learner.family == "bnprl":
+        if entry.learner.family != "sb3":
             _warm_up(build())
         _Course(run, build(logs), log).follow()
 

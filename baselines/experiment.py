@@ -16,6 +16,7 @@ import numpy as np
 
 from baselines.contenders import Contender, contender
 from baselines.environment import EnvironmentSpec
+from baselines.own import is_own
 from baselines.records import check_name
 
 METRIC = "mean discounted return"
@@ -40,6 +41,8 @@ class Entry:
 
     def __post_init__(self) -> None:
         check_name(self.name)
+        if is_own(self.contender):
+            return  # what a stranger's record names is not imported
         known = [field.name for field in dataclasses.fields(self.learner.settings)]
         for key in self.settings.keys() - set(known):
             near = difflib.get_close_matches(key, known)
@@ -49,10 +52,16 @@ class Entry:
 
     @staticmethod
     def of(name: str, settings: Any = None, label: str | None = None) -> Entry:
-        """Take a contender by name, with its default settings unless others are given."""
+        """Take a contender by name, with its default settings unless others are given.
+
+        An own agent "module:class" is labelled by its class.
+
+        Raises:
+            ValueError: there is no such contender.
+        """
         chosen = contender(name).settings if settings is None else settings
         values = json.loads(json.dumps(dataclasses.asdict(chosen)))
-        return Entry(name if label is None else label, name, values)
+        return Entry(name.rpartition(":")[2] if label is None else label, name, values)
 
     @property
     def learner(self) -> Contender:
@@ -82,7 +91,7 @@ def configured_entries(names: Sequence[str], assignments: Sequence[str]) -> tupl
         ValueError: an assignment is malformed, or names another agent, an unknown setting or a
             value of another type.
     """
-    entries = {name: Entry.of(name) for name in names}
+    entries = {entry.name: entry for entry in map(Entry.of, names)}
     paths = [text.partition("=")[0] for text in assignments]
     for text in assignments:
         path, equals, value = text.partition("=")
@@ -94,7 +103,9 @@ def configured_entries(names: Sequence[str], assignments: Sequence[str]) -> tupl
                 f"--set {text}: must be AGENT.FIELD=VALUE, AGENT one of {', '.join(entries)}"
             )
         old = entries[name].settings
-        new = Entry(name, name, old | {field: _setting(text, value, old.get(field))})
+        new = dataclasses.replace(
+            entries[name], settings=old | {field: _setting(text, value, old.get(field))}
+        )
         new.build_settings()
         entries[name] = new
     if len(entries) < len(names):

@@ -14,6 +14,7 @@ from typing import Any
 
 from baselines.environment import EnvironmentSpec
 from baselines.experiment import Entry, Experiment
+from baselines.own import is_own
 from baselines.records import RecordError, Records, RunFiles, parse_json, write_atomic
 
 FILE = "experiment.json"
@@ -138,6 +139,11 @@ def _merge(folder: Path, values: dict[str, Any], old: Experiment, new: Experimen
             for key in sorted(before.settings.keys() | entry.settings.keys()):
                 here, there = before.settings.get(key), entry.settings.get(key)
                 _check_equal(folder, f"{entry.name}.{key}", here, there)
+    for entry in old.entries:
+        if is_own(entry.contender) and entry.name not in {given.name for given in new.entries}:
+            raise ValueError(
+                f"{folder} has runs of {entry.contender}; name that too, for it to be imported"
+            )
     added = tuple(entry for entry in new.entries if entry.name not in known)
     seeds = max(old.seeds, new.seeds)
     return dataclasses.replace(old, entries=old.entries + added, seeds=seeds)

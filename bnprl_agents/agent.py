@@ -174,8 +174,12 @@ class Agent(abc.ABC):
         write_policy(path, meta, self.state_arrays())
 
 
-def load(path: str | os.PathLike[str]) -> Agent:
+def load(path: str | os.PathLike[str], agent_class: type[Agent] | None = None) -> Agent:
     """Read an agent from a policy file; it goes on exactly where the saved one stood.
+
+    Args:
+        path: of the file.
+        agent_class: of what was saved, where that is not one of this suite's agents.
 
     Raises:
         PolicyFileError: the file does not hold an agent's policy.
@@ -185,10 +189,8 @@ def load(path: str | os.PathLike[str]) -> Agent:
     with refusing_damage(path):
         if (meta["format"], meta["version"]) != (FORMAT, 1):
             raise ValueError(f"format {meta['format']!r}, version {meta['version']!r}")
-        if meta["agent"] not in AGENT_CLASSES:
-            raise ValueError(f"unknown agent {meta['agent']!r}")
-        cls = getattr(importlib.import_module(AGENT_CLASSES[meta["agent"]]), meta["agent"])
-        agent: Agent = cls(
+        cls = _class_of(meta["agent"], agent_class)
+        agent = cls(
             build_space(meta["observation_space"]),
             build_space(meta["action_space"]),
             cls.Config(**meta["config"]),
@@ -199,3 +201,13 @@ def load(path: str | os.PathLike[str]) -> Agent:
         agent.rng.bit_generator.state = meta["rng"]
         agent.predict_rng.bit_generator.state = meta["predict_rng"]
     return agent
+
+
+def _class_of(name: str, own: type[Agent] | None) -> type[Agent]:
+    """Return one of this suite's agents by name, or the class given if that is its name."""
+    if own is not None and own.__name__ == name:
+        return own
+    if name not in AGENT_CLASSES:
+        raise ValueError(f"unknown agent {name!r}")
+    found: type[Agent] = getattr(importlib.import_module(AGENT_CLASSES[name]), name)
+    return found
