@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import math
 import os
@@ -110,8 +111,9 @@ def _attempt(run: Run) -> bool:
     try:
         run_one(run)
     except Exception:
-        run.files.error.parent.mkdir(parents=True, exist_ok=True)
-        run.files.error.write_text(traceback.format_exc())
+        with contextlib.suppress(OSError):  # a full disk may be what failed
+            run.files.error.parent.mkdir(parents=True, exist_ok=True)
+            run.files.error.write_text(traceback.format_exc())
         return False
     run.files.error.unlink(missing_ok=True)
     return True

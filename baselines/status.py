@@ -37,8 +37,11 @@ def status(folder: Path) -> int:
 
 
 def failure(files: RunFiles) -> str:
-    """Return the last line of a failed run's traceback."""
-    return files.error.read_text(errors="replace").strip().rpartition("\n")[2]
+    """Return the last line of a failed run's traceback, empty if that could not be written."""
+    try:
+        return files.error.read_text(errors="replace").strip().rpartition("\n")[2]
+    except OSError:
+        return ""
 
 
 def _state(files: RunFiles, finished: bool) -> str:

@@ -279,13 +279,33 @@ def test_a_killed_comparison_resumes_to_the_same_summary(
 ) -> None:
     out = tmp_path / "out"
     arguments = [*COMPARE, *BUDGET, "--jobs", jobs, "--out", str(out)]
-    assert 8 <= kill_after(arguments, out, 8, timeout=120) < 30
+    for n_lines in (8,) if jobs == "1" else (2, 8, 15):
+        assert n_lines <= kill_after(arguments, out, n_lines, timeout=120) < 30
     finished = [path for path in out.glob("runs/*/*.jsonl") if read_records(path).finished]
     stamps = {path: path.stat().st_mtime_ns for path in finished}
     finish(arguments, timeout=300)
     assert summary(out) == uninterrupted
     assert {path: path.stat().st_mtime_ns for path in finished} == stamps
     assert len(lines(out)) == 6
+
+
+@pytest.mark.skipif(os.name != "posix", reason="limits of a process")
+def test_a_full_disk_fails_in_one_line_and_resumes(
+    tmp_path: Path, uninterrupted: dict[str, Any]
+) -> None:
+    import resource
+
+    def limit() -> None:
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (2**12, 2**12))
+
+    out = tmp_path / "out"
+    arguments = [*COMPARE, *BUDGET, "--jobs", "1", "--out", str(out)]
+    _, shown = command(*arguments, preexec_fn=limit).communicate(timeout=240)
+    assert shown.splitlines()[-1].startswith("bnprl: error: ")
+    assert "Traceback" not in shown
+    finish(arguments, timeout=300)
+    assert summary(out) == uninterrupted
 
 
 def heed_interrupts() -> None:
