@@ -20,7 +20,12 @@ suppress_warnings = ["config.cache"]
 
 
 def setup(app):
-    """Write the pages of the environments before Sphinx reads its sources."""
-    from generate import write_pages
+    """Write the pages of the environments and experiments before Sphinx reads its sources."""
+    import experiments
+    import generate
 
-    app.connect("builder-inited", lambda app: write_pages(Path(app.srcdir) / "environments"))
+    def write(app):
+        generate.write_pages(Path(app.srcdir) / "environments")
+        experiments.write_pages(Path(app.srcdir) / "experiments")
+
+    app.connect("builder-inited", write)

@@ -1,6 +1,8 @@
 """The pages of the environments say everything that the suite promises, for every id."""
 
 import importlib.util
+import json
+import re
 from pathlib import Path
 
 import pytest
@@ -8,7 +10,11 @@ from PIL import Image
 
 import bnprl_envs
 
-SCRIPT = Path(__file__).parents[1] / "docs" / "generate.py"
+DOCS = Path(__file__).parents[1] / "docs"
+WRITTEN = sorted(
+    path for path in DOCS.rglob("*.md") if path.parent.name not in ("environments", "experiments")
+)
+README = DOCS.parent / "README.md"
 SECTIONS = (
     "Description",
     "Action Space",
@@ -24,12 +30,51 @@ SECTIONS = (
 )
 
 
-@pytest.fixture(scope="module")
-def generate():
-    spec = importlib.util.spec_from_file_location("generate", SCRIPT)
+def script(name):
+    spec = importlib.util.spec_from_file_location(name, DOCS / f"{name}.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+@pytest.fixture(scope="module")
+def generate():
+    return script("generate")
+
+
+def blocks(path):
+    """The Python of a page, in one piece."""
+    return "\n".join(re.findall(r"^```python\n(.*?)^```", path.read_text(), re.M | re.S))
+
+
+@pytest.mark.parametrize(
+    "path", [p for p in (*WRITTEN, README) if blocks(p)], ids=lambda path: path.name
+)
+def test_what_a_page_shows_runs(path, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("mine.POMDP").write_text(
+        "discount: 0.9\nvalues: reward\nstates: 2\nactions: 2\nobservations: 2\n"
+        "T: * identity\nO: * uniform\nR: 0 : 0 : * : * 1.0\n"
+    )
+    exec(compile(blocks(path), str(path), "exec"), {"__name__": "page"})
+
+
+def test_an_experiments_page_has_its_kept_numbers(tmp_path):
+    experiments = script("experiments")
+    rows = [
+        {"agent": "ours", "mean": 0.5, "ci_low": 0.4, "ci_high": 0.6, "median": 0.5, "seeds": 3}
+        | {"x": 100.0, "source": None},
+        {"agent": "printed", "mean": 0.25, "ci_low": None, "ci_high": None, "median": 0.25}
+        | {"seeds": 1, "x": None, "source": "Table 1"},
+    ]
+    panel = {"name": "p", "title": "Panel", "measure": "|value|", "x": "steps", "rows": rows}
+    summary = {"shape": "table", "command": "bnprl reproduce figure-3.1", "panels": [panel]}
+    assert "No full run is kept yet" in experiments.page("figure-3.1", tmp_path)
+    (tmp_path / "summary.json").write_text(json.dumps(summary))
+    text = experiments.page("figure-3.1", tmp_path)
+    assert "| Panel | 0.5 ± 0.1 | 0.25 |" in text
+    assert "| ours | 0.5 | 0.4 to 0.6 | 0.5 | 3 | 100 |" in text
+    assert "figure-3.1.md" in experiments.listing(["figure-3.1"])
 
 
 @pytest.mark.parametrize("id", bnprl_envs.environment_ids())

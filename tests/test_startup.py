@@ -1,4 +1,4 @@
-"""Importing the environments imports nothing heavy; how long it takes: baselines.benchmarks.startup."""
+"""Importing the environments imports nothing heavy; `baselines.benchmarks.startup` times it."""
 
 from __future__ import annotations
 

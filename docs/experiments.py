@@ -1,0 +1,81 @@
+"""One page per experiment, from the results that are kept in baselines/results.
+
+`python docs/experiments.py` writes them to docs/experiments; building the documentation does, too.
+Nothing on those pages is typed by hand.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from baselines import reproduction
+from baselines.reproduce import cells, side_by_side
+
+RESULTS = Path(reproduction.__file__).parent / "results"
+
+
+def write_pages(folder: Path) -> None:
+    """Write the pages, copy their pictures, and write the page that lists them."""
+    folder.mkdir(exist_ok=True)
+    names = reproduction.names()
+    for name in names:
+        kept = RESULTS / name
+        (folder / f"{name}.md").write_text(page(name, kept), encoding="utf-8")
+        if (kept / "figure.png").is_file():
+            shutil.copyfile(kept / "figure.png", folder / f"{name}.png")
+    (folder / "index.md").write_text(listing(list(names)), encoding="utf-8")
+
+
+def page(name: str, kept: Path) -> str:
+    """Return the page of an experiment as Markdown, with its results if there are any."""
+    what = reproduction.find(name)
+    text = [f"# {name}", "", what.title + ".", ""]
+    notes = [line for note in what.notes for line in (note, "")]
+    if not (kept / "summary.json").is_file():
+        command = ["```sh", f"bnprl reproduce {name}", "```", ""]
+        return "\n".join([*text, *notes, "No full run is kept yet.", "", *command])
+    summary: dict[str, Any] = json.loads((kept / "summary.json").read_bytes())
+    text += [f"![{what.title}]({name}.png)", "", *notes]
+    if summary["shape"] == "table":
+        text += [table(side_by_side(summary["panels"])), ""]
+    for panel in summary["panels"]:
+        text += [f"## {panel['title']}: {panel['measure']}", ""]
+        text += [table(cells(panel["rows"], panel["x"])), ""]
+    return "\n".join([*text, "```sh", summary["command"], "```", ""])
+
+
+def listing(names: Sequence[str]) -> str:
+    """Return the page that lists the experiments."""
+    rows = [["experiment", "what it is"]]
+    rows += [[f"[{name}]({name}.md)", reproduction.find(name).title] for name in names]
+    toctree = "\n".join(names)
+    return f"""# Experiments
+
+Tables and figures of the source, remade by `bnprl reproduce NAME`, all of them by
+`bnprl reproduce --all`; `--quick` gives each of them two minutes.
+
+{table(rows)}
+
+```{{toctree}}
+:hidden:
+
+{toctree}
+```
+"""
+
+
+def table(rows: Sequence[Sequence[str]]) -> str:
+    """Return a table of Markdown, header first."""
+    header, *body = rows
+    lines = [header, ["---"] * len(header), *body]
+    return "\n".join(
+        f"| {' | '.join(text.replace('|', '&#124;') for text in line)} |" for line in lines
+    )
+
+
+if __name__ == "__main__":
+    write_pages(Path(__file__).parent / "experiments")
