@@ -70,7 +70,7 @@ class Train:
     eval_points: int = 10
     """Evaluations, evenly spread over the budget."""
     tensorboard: bool = False
-    """Write TensorBoard's logs below the folder (Stable-Baselines3's agents)."""
+    """Write evaluations and what learners report for TensorBoard, below the folder."""
     progress: Progress = True
     """Show a progress bar."""
 
@@ -127,7 +127,7 @@ class Compare:
     address: str | None = None
     """Of a cluster that is there already and sees the same files; one is started if not given."""
     tensorboard: bool = False
-    """Write TensorBoard's logs below the folder (Stable-Baselines3's agents)."""
+    """Write evaluations and what learners report for TensorBoard, below the folder."""
     progress: Progress = True
     """Show a progress bar."""
 

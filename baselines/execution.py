@@ -23,6 +23,7 @@ from baselines.experiment import Experiment
 from baselines.progress_bar import progress_bar
 from baselines.records import Record, Records, RunFiles, RunLog, open_log
 from baselines.study import read_runs
+from baselines.tensorboard import Write, scalar_writer
 from baselines.workers import Workers
 from bnprl_agents.training import Progress
 
@@ -154,7 +155,8 @@ def run_one(run: Run) -> None:
         )
         if entry.learner.family != "sb3":
             _warm_up(build())
-        _Course(run, build(logs), log).follow()
+        with scalar_writer(logs) as board:
+            _Course(run, build(logs), log, board).follow()
 
 
 def _warm_up(learner: Learner) -> None:
@@ -166,10 +168,11 @@ def _warm_up(learner: Learner) -> None:
 class _Course:
     """The way of one learner through its budget."""
 
-    def __init__(self, run: Run, learner: Learner, log: RunLog) -> None:
+    def __init__(self, run: Run, learner: Learner, log: RunLog, board: Write) -> None:
         self._run = run
         self._learner = learner
         self._log = log
+        self._board = board
         self._train_seconds = 0.0
         self._eval_seconds = 0.0
         points = run.experiment.eval_points
@@ -186,6 +189,8 @@ class _Course:
         for progress in self._learner.learn(episodes=experiment.episodes, steps=experiment.steps):
             self._train_seconds += time.perf_counter() - started
             metrics = progress.metrics or metrics
+            if self._run.experiment.entry(self._run.files.contender).learner.family != "sb3":
+                self._board("training", _finite(progress.metrics), progress.steps)
             point = getattr(progress, experiment.unit) * points // experiment.budget
             if reached < point < points:
                 reached = point
@@ -225,6 +230,8 @@ class _Course:
             train_reward=progress.reward,
         )
         self._log.append(record)
+        scores = {"return_mean": record.return_mean, "length_mean": record.length_mean}
+        self._board("evaluation", scores, record.steps)
 
     def _save(self) -> None:
         """Write the policy file, which appears by rename."""

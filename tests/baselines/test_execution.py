@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from baselines import evaluation
 from baselines.contenders import MissingExtraError
 from baselines.environment import EnvironmentSpec
 from baselines.execution import execute
@@ -243,3 +244,20 @@ def test_the_bar_follows_the_records(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert "200/200" in shown
     assert run(tmp_path, experiment()) == []
     assert capsys.readouterr().err == ""
+
+
+def test_tensorboard_gets_evaluations_and_metrics(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    chosen = experiment(Entry.of("random"), seeds=1, episodes=300)
+    monkeypatch.setattr("baselines.execution.evaluate", evaluation.evaluate)
+    assert run(tmp_path, chosen, tensorboard=True) == []
+    events = EventAccumulator(str(tmp_path / "tensorboard" / "random" / "0"))
+    events.Reload()
+    tags = events.Tags()["tensors"]
+    assert {"evaluation/return_mean", "training/return_mean"} <= set(tags)
+    assert [e.step for e in events.Tensors("evaluation/return_mean")] == sorted(
+        line.steps for line in RunFiles(tmp_path, "random", 0).read().lines
+    )
