@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import copy
-import functools
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
@@ -108,16 +106,19 @@ def _simulate_belief(
 def _simulate_compiled(
     controllers: Any, model: TabularModel, horizon: int, episodes: int, rng: np.random.Generator
 ) -> Evaluation:
-    from bnprl_agents.controllers.scoring import simulated_returns  # imports numba
+    from bnprl_agents.controllers.scoring import simulated_scores  # imports numba
     from bnprl_agents.controllers.value import controller_value
 
-    simulate = functools.partial(
-        simulated_returns, model, controllers, episodes=episodes, horizon=horizon
+    found = simulated_scores(
+        model,
+        controllers,
+        episodes=episodes,
+        horizon=horizon,
+        discount=model.discount,
+        rng=rng,
     )
-    rewards, _ = simulate(discount=1.0, rng=copy.deepcopy(rng))  # of the same episodes
-    returns, lengths = simulate(discount=model.discount, rng=rng)
     exact = controller_value(model, controllers, model.discount) if model.discount < 1.0 else None
-    return Evaluation(returns, lengths, rewards, exact)
+    return Evaluation(found.returns, found.lengths, found.rewards, exact)
 
 
 def _greedy_value(policy: Any, model: TabularModel | None, deterministic: bool) -> float | None:

@@ -41,6 +41,20 @@ class NodeSampler(NamedTuple):
     first: IntArray
 
 
+class Scores(NamedTuple):
+    """What K episodes earned.
+
+    Attributes:
+        returns: (K,) discounted returns.
+        lengths: (K,) steps.
+        rewards: (K,) sums of rewards, not discounted.
+    """
+
+    returns: FloatArray
+    lengths: IntArray
+    rewards: FloatArray
+
+
 def simulated_returns(
     model: TabularModel,
     controllers: Controller | Sequence[Controller],
@@ -50,7 +64,23 @@ def simulated_returns(
     discount: float,
     rng: np.random.Generator,
 ) -> tuple[FloatArray, IntArray]:
-    """Discounted returns (K,) and lengths (K,) of episodes under the controllers.
+    """Discounted returns (K,) and lengths (K,) of episodes; see `simulated_scores`."""
+    found = simulated_scores(
+        model, controllers, episodes=episodes, horizon=horizon, discount=discount, rng=rng
+    )
+    return found.returns, found.lengths
+
+
+def simulated_scores(
+    model: TabularModel,
+    controllers: Controller | Sequence[Controller],
+    *,
+    episodes: int,
+    horizon: int,
+    discount: float,
+    rng: np.random.Generator,
+) -> Scores:
+    """Simulate episodes under the controllers and sum what they earn.
 
     Args:
         model: what is simulated.
@@ -74,8 +104,7 @@ def simulated_returns(
         episodes,
         rng,
     )
-    returns, lengths = zip(*parts, strict=True)
-    return np.concatenate(returns), np.concatenate(lengths)
+    return Scores(*map(np.concatenate, zip(*parts, strict=True)))
 
 
 def _node_sampler(model: TabularModel, team: Sequence[Controller]) -> NodeSampler:
@@ -111,7 +140,8 @@ def _joined(tables: Sequence[FloatArray]) -> AliasTable:
 @njit(cache=True, nogil=True)
 def _score(sampler, nodes, episodes, horizon, discount, rng):  # type: ignore[no-untyped-def]
     n_agents = nodes.action_sizes.size
-    returns, lengths = np.zeros(episodes), np.empty(episodes, dtype=np.int64)
+    returns, rewards = np.zeros(episodes), np.zeros(episodes)
+    lengths = np.empty(episodes, dtype=np.int64)
     node = np.empty(n_agents, dtype=np.int64)
     action, seen = np.empty_like(node), np.empty_like(node)
     for k in range(episodes):
@@ -132,7 +162,9 @@ def _score(sampler, nodes, episodes, horizon, discount, rng):  # type: ignore[no
             sight = sampler.observation.outcome[
                 draw(sampler.observation, joint * sampler.n_states + state, rng.random())
             ]
-            returns[k] += factor * sampler.reward[move, sight % sampler.reward.shape[1]]
+            reward = sampler.reward[move, sight % sampler.reward.shape[1]]
+            returns[k] += factor * reward
+            rewards[k] += reward
             factor *= discount
             lengths[k] = t + 1
             if sampler.terminal[state]:
@@ -142,4 +174,4 @@ def _score(sampler, nodes, episodes, horizon, discount, rng):  # type: ignore[no
                 n_seen, n_nodes = nodes.controller_sizes[n]
                 row = nodes.first[n, 2] + (action[n] * n_seen + seen[n]) * n_nodes + node[n]
                 node[n] = nodes.successor.outcome[draw(nodes.successor, row, rng.random())]
-    return returns, lengths
+    return returns, lengths, rewards
