@@ -13,14 +13,8 @@ from bnprl_agents.controllers.hdp import (
     sample_top_concentration,
     sample_weights,
 )
-from bnprl_agents.controllers.infinite import (
-    Hierarchy,
-    InfiniteRPR,
-    InfiniteRPRConfig,
-    first_hierarchy,
-    resampled,
-    reward_steps,
-)
+from bnprl_agents.controllers.hierarchy import Hierarchy, first_hierarchy, resampled
+from bnprl_agents.controllers.infinite import InfiniteRPR, InfiniteRPRConfig
 from bnprl_agents.controllers.mcem import (
     MonteCarloEM,
     MonteCarloEMConfig,
@@ -29,7 +23,7 @@ from bnprl_agents.controllers.mcem import (
     rewards_from,
 )
 from bnprl_agents.controllers.messages import Counts, backward, forward, soft_counts
-from bnprl_agents.controllers.paths import path_counts, sample_paths
+from bnprl_agents.controllers.paths import path_counts, reward_steps, sample_paths
 from bnprl_agents.controllers.rollout import rollout
 from bnprl_agents.controllers.value import controller_value
 from bnprl_agents.controllers.weighting import by_reward
@@ -180,7 +174,7 @@ def test_all_episodes_are_kept_by_the_batch_schedule_alone():
         agent = learner(schedule=schedule)
         for _ in range(3):
             agent.learn(random_episodes(rng, (2, 3), (2,), (3,)))
-        assert (agent.kept and agent.kept.n_episodes) == kept
+        assert (agent.pool.episodes and agent.pool.episodes.n_episodes) == kept
 
 
 def test_rows_of_controllers_are_proper_whatever_was_born_or_dropped():
