@@ -7,10 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.axes import Axes
+from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import FancyArrowPatch, Patch
+from matplotlib.patches import Circle, FancyArrowPatch, Patch
 
 from baselines.curves import COLOURS, dress, newest, thousands
 from baselines.figures import INK, PAPER
@@ -23,10 +25,10 @@ from bnprl_envs.model import TabularModel
 
 EPISODES, HORIZON = 500, 251
 """Episodes of the policy from which its use of nodes and moves is taken."""
-LEAST_NODE, LEAST_MOVE = 0.005, 0.01
-"""Nodes with less of all steps and moves with less of all moves are not drawn."""
-LABELLED = 24
-"""Most moves whose observation is written beside them; of the others the colour tells."""
+LEAST_NODE, LEAST_MOVE = 0.005, 0.1
+"""Nodes with less of all steps and moves with less of their node's moves are not drawn."""
+LABELLED = 12
+"""Most moves that have their observation written beside them; of more the colours tell."""
 METRICS = {"nodes": "nodes in use", "exploring": "share of steps that explore"}
 
 
@@ -88,7 +90,7 @@ def draw_controllers(
     curves = {label: points for label, points in curves.items() if len(points) > 1}
     n = len(controllers)
     figure = Figure(
-        figsize=(7.0 * n, 8.6 if curves else 6.8), facecolor=PAPER, layout="constrained"
+        figsize=(8.4 * n, 8.6 if curves else 6.8), facecolor=PAPER, layout="constrained"
     )
     heights = [6.0, 1.6] if curves else [6.0]
     top, *below = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False).ravel()
@@ -120,18 +122,18 @@ def draw_graph(
     place = np.stack([np.cos(angle), np.sin(angle)], axis=1) * (held.size > 1)
     radius = 0.07 + 0.17 * np.sqrt(used.nodes[held])
     total, kind = used.moves.sum(axis=0), used.moves.argmax(axis=0)
+    leaving = total.sum(axis=1)
     moves = [
         (i, j)
         for i in range(held.size)
         for j in range(held.size)
-        if total[held[i], held[j]] >= LEAST_MOVE
+        if total[held[i], held[j]] > LEAST_MOVE * leaving[held[i]]
     ]
     shown = sorted({int(kind[held[i], held[j]]) for i, j in moves})
-    colours = {o: COLOURS[k % len(COLOURS)] for k, o in enumerate(shown)}
-    labelled = sorted(moves, key=lambda m: -total[held[m[0]], held[m[1]]])[:LABELLED]
+    colours = {o: to_hex(colormaps["tab20"](k % 20)) for k, o in enumerate(shown)}
     for i, j in moves:
         share, seen = total[held[i], held[j]], int(kind[held[i], held[j]])
-        text = observation_names[seen] if (i, j) in labelled else ""
+        text = observation_names[seen] if len(moves) <= LABELLED else ""
         _draw_move(axes, place[i], place[j], radius[i], radius[j], share, colours[seen], text)
     for position, size, z in zip(place, radius, held, strict=True):
         chosen = int(used.actions[z].argmax())
@@ -151,8 +153,6 @@ def draw_graph(
 
 def _circle(position: FloatArray, size: float, colour: str, certainty: float) -> Patch:
     """A node: the surer its action, the stronger its colour."""
-    from matplotlib.patches import Circle
-
     return Circle(
         (float(position[0]), float(position[1])),
         size,
@@ -214,7 +214,11 @@ def _dress_graph(axes: Axes, action_names: Sequence[str], observations: dict[str
     ]
     moves = [Line2D([], [], color=c, lw=3, label=f"sees {o}") for o, c in observations.items()]
     axes.legend(
-        handles=[*actions, *moves[:12]], fontsize=7.5, frameon=False, loc="upper left", ncols=1
+        handles=[*actions, *moves],
+        fontsize=7.5,
+        frameon=False,
+        loc="center left",
+        bbox_to_anchor=(1.0, 0.5),
     )
 
 

@@ -53,7 +53,7 @@ class BatchEM(NestedEM):
             messages = [forward(data, n, controller) for n, controller in enumerate(before)]
             self.kept = data
         metrics = super().improve(data, messages)
-        if share < 1.0:
+        if share < 1.0 and "unchanged" not in metrics:
             moved = zip(before, self.controllers, strict=True)
             self.begin_at([part_way(old, new, share) for old, new in moved])
         return metrics

@@ -9,9 +9,12 @@ import numpy as np
 from numba import njit
 
 from bnprl_agents.controllers.controller import Controller
-from bnprl_agents.controllers.messages import Counts
+from bnprl_agents.controllers.messages import Counts, running_sum
 from bnprl_agents.episodes import EpisodeBatch, FloatArray
 from bnprl_agents.policy_files import Arrays
+
+TOLERANCE = 1e-2
+"""Of log-probabilities: rollouts filter in single precision."""
 
 
 class Behaviour(NamedTuple):
@@ -38,6 +41,9 @@ class EpisodePool:
     Paper: Veach and Guibas, Optimally combining sampling techniques for Monte Carlo rendering,
     SIGGRAPH 1995; for policies, Peshkin and Shelton, Learning from scarce experience, ICML 2002.
 
+    Episodes whose recorded probabilities are not those of the behaviour that is said to have
+    collected them, a given data set say, keep what was recorded.
+
     Attributes:
         episodes: K of them, with the mixture's conditional probabilities as their behaviour, in
             a team's first column alone; None before the first.
@@ -47,21 +53,29 @@ class EpisodePool:
     def __init__(self) -> None:
         self.episodes: EpisodeBatch | None = None
         self.behaviours: list[Behaviour] = []
-        self._log_mixture = np.zeros(0)
+        self._log_mixture = np.zeros(0)  # sum over m of K_m p_m, a foreign step's b
+        self._mixed = np.zeros(0, dtype=np.bool_)
 
     def add(self, fresh: EpisodeBatch, behaviour: Behaviour) -> EpisodeBatch:
         """Take in new episodes and what collected them; return all."""
         old = self.episodes
-        if old is not None:
-            seen = np.log(behaviour.episodes) + log_probability(old, behaviour)
-            self._log_mixture = np.logaddexp(self._log_mixture, seen)
-        self.behaviours.append(behaviour)
-        every = [np.log(b.episodes) + log_probability(fresh, b) for b in self.behaviours]
-        self._log_mixture = np.append(self._log_mixture, np.logaddexp.reduce(every))
         joined = fresh if old is None else EpisodeBatch.concatenate([old, fresh])
+        log_fresh = running_sum(fresh.offsets, np.log(fresh.behaviour).sum(axis=1))
+        own = np.abs(log_fresh - log_probability(fresh, behaviour)).max() < TOLERANCE
+        if own:
+            if old is not None:
+                seen = np.log(behaviour.episodes) + log_probability(old, behaviour)
+                mixture = np.logaddexp(self._log_mixture, seen)
+                self._log_mixture = np.where(self._mixed, mixture, self._log_mixture)
+            self.behaviours.append(behaviour)
+            every = [np.log(b.episodes) + log_probability(fresh, b) for b in self.behaviours]
+            log_fresh = np.logaddexp.reduce(every)
+        self._log_mixture = np.append(self._log_mixture, log_fresh)
+        self._mixed = np.append(self._mixed, np.full(fresh.n_steps, own))
         first = joined.offsets[:-1]
         log_b = np.diff(self._log_mixture, prepend=0.0)
-        log_b[first] = self._log_mixture[first] - np.log(joined.n_episodes)
+        log_total = np.log(max(1, sum(b.episodes for b in self.behaviours)))
+        log_b[first] = self._log_mixture[first] - np.where(self._mixed[first], log_total, 0.0)
         probability = np.ones_like(joined.behaviour)
         probability[:, 0] = np.exp(np.minimum(log_b, 0.0))
         self.episodes = EpisodeBatch(**(vars(joined) | {"behaviour": probability}))
@@ -73,7 +87,7 @@ class EpisodePool:
             return {}
         arrays = {f"pool_{name}": table for name, table in vars(self.episodes).items()}
         arrays["pool_sizes"] = np.array([b.episodes for b in self.behaviours])
-        arrays["pool_log_mixture"] = self._log_mixture
+        arrays |= {"pool_log_mixture": self._log_mixture, "pool_mixed": self._mixed}
         for m, b in enumerate(self.behaviours):
             for n, (controller, explore) in enumerate(zip(b.controllers, b.explore, strict=True)):
                 arrays[f"pool_explore_{m}_{n}"] = explore
@@ -88,7 +102,7 @@ class EpisodePool:
             return pool
         fields = EpisodeBatch.__dataclass_fields__
         pool.episodes = EpisodeBatch(**{name: arrays[f"pool_{name}"] for name in fields})
-        pool._log_mixture = arrays["pool_log_mixture"]
+        pool._log_mixture, pool._mixed = arrays["pool_log_mixture"], arrays["pool_mixed"]
         team = range(n_agents)
         for m, size in enumerate(arrays["pool_sizes"].tolist()):
             controllers = tuple(

@@ -21,9 +21,9 @@ from bnprl_agents.controllers.hierarchy import (
     shared_out,
 )
 from bnprl_agents.controllers.messages import Counts, Messages, backward, forward
-from bnprl_agents.controllers.nested_em import blended_value
 from bnprl_agents.controllers.paths import path_counts, reward_steps, sample_paths
 from bnprl_agents.controllers.priors import Posterior, Prior, blend, scaled
+from bnprl_agents.controllers.schedules import blended_value
 from bnprl_agents.controllers.variational import BayesianConfig, BayesianEM
 from bnprl_agents.episodes import EpisodeBatch
 from bnprl_agents.policy_files import Arrays
