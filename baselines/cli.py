@@ -185,7 +185,11 @@ class Status:
 
 @dataclass(frozen=True)
 class Plot:
-    """Draw learned action values over the plane of the states, their uncertainty and the policy."""
+    """Draw what a policy file holds: action values over the plane of the states, or controllers.
+
+    Controllers become graphs: nodes sized by occupancy and coloured by action, arrows coloured by
+    observation, weak ones hidden; below, nodes and exploration over learning.
+    """
 
     file: Positional[Path]
     """Policy file, below runs/ in a folder that `train`, `compare` or `reproduce` wrote."""

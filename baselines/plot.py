@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from baselines.contenders import load_policy
-from baselines.records import write_atomic
+from baselines.environment import EnvironmentSpec
+from baselines.records import Record, read_records, write_atomic
 from baselines.study import load_study
 from baselines.usage import usage_errors
 from bnprl_agents.value_learner import ValueAgent
@@ -18,23 +20,59 @@ COMPASS_WORLDS = ("bnprl/Gridworld-v0", "bnprl/PuddleWorld-v0")
 
 
 def plot(options: Plot) -> int:
-    """Draw the learned values beside the policy file; return the exit code."""
+    """Draw learned values or controllers beside the policy file; return the exit code."""
     with usage_errors():
-        policy = load_policy(options.file)
-        if not isinstance(policy, ValueAgent):
-            raise ValueError(f"{options.file}: holds no action values, which are what is drawn")
-        from baselines.q_pictures import draw_values  # imports matplotlib
-
-        folder = options.file.resolve().parent.parent.parent
-        known = options.env is None and (folder / "experiment.json").is_file()
-        id = load_study(folder).experiment.environment.id if known else options.env
+        policy: Any = load_policy(options.file)
+        environment = _environment(options)
+        if isinstance(policy, ValueAgent):
+            picture = _values(policy, environment)
+        elif getattr(policy, "controllers", None):
+            picture = _controllers(policy, environment, options.file)
+        else:
+            raise ValueError(
+                f"{options.file}: holds neither action values nor controllers, which are what is "
+                "drawn"
+            )
         target = options.out or options.file.with_suffix(".png")
-        title = f"{type(policy).__name__} after {policy.steps:,} steps"
-        picture = draw_values(
-            policy,
-            compass=id in COMPASS_WORLDS,
-            title=title if id is None else f"{id}: {title}",
-        )
         write_atomic(target, picture)
     print(f"picture: {target}")
     return 0
+
+
+def _environment(options: Plot) -> EnvironmentSpec | None:
+    """Return the environment that is given, or that of the experiment around the file."""
+    if options.env is not None:
+        return EnvironmentSpec(options.env)
+    folder = options.file.resolve().parent.parent.parent
+    known = (folder / "experiment.json").is_file()
+    return load_study(folder).experiment.environment if known else None
+
+
+def _values(policy: ValueAgent, environment: EnvironmentSpec | None) -> bytes:
+    from baselines.q_pictures import draw_values  # imports matplotlib
+
+    title = f"{type(policy).__name__} after {policy.steps:,} steps"
+    id = None if environment is None else environment.id
+    return draw_values(
+        policy,
+        compass=id in COMPASS_WORLDS,
+        title=title if id is None else f"{id}: {title}",
+    )
+
+
+def _controllers(policy: Any, environment: EnvironmentSpec | None, file: Path) -> bytes:
+    model = None if environment is None else environment.model()
+    if environment is None or model is None:
+        raise ValueError(
+            f"{file}: to draw controllers takes a known model of what they act in: give --env ID"
+        )
+    from baselines.controller_pictures import draw_controllers  # imports matplotlib
+
+    title = f"{environment.id}: {type(policy).__name__}"
+    return draw_controllers(model, policy.controllers, _records(file), title)
+
+
+def _records(file: Path) -> tuple[Record, ...]:
+    """Return the records of the run that wrote a policy file; none where they are not beside it."""
+    lines = file.with_name(file.name.split(".")[0] + ".jsonl")
+    return read_records(lines).lines if lines.is_file() else ()

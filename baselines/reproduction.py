@@ -22,6 +22,8 @@ import numpy.typing as npt
 
 from baselines.experiment import Experiment
 from baselines.records import Record, check_name
+from baselines.report import REFERENCE_NAMES
+from bnprl_envs import registry
 from bnprl_envs.registry import Reference
 
 FOLDER = Path(__file__).parent / "experiments"
@@ -48,6 +50,7 @@ EXACT = Measure("exact discounted return", lambda record: record.exact_value)
 LENGTH = Measure("mean steps of an episode", lambda record: record.length_mean)
 SECONDS = Measure("seconds of training", lambda record: record.train_seconds)
 EARNED = Measure("sum of rewards while learning", lambda record: record.train_reward)
+REWARD = Measure("mean sum of an episode's rewards", lambda record: record.reward_mean)
 REWARD_PER_STEP = Measure(
     "mean reward per step",
     lambda record: None if record.reward_mean is None else record.reward_mean / record.length_mean,
@@ -145,6 +148,14 @@ class Reproduction:
     panels: tuple[Comparison | Computation, ...]
     notes: tuple[str, ...] = field(default=())
     shape: Literal["figure", "table"] = "figure"
+
+
+def registered(id: str) -> tuple[Reference, ...]:
+    """Return what the registry knows of an environment, for a panel of one of its variants."""
+    known = registry.entry(id).references
+    return tuple(
+        dataclasses.replace(each, name=REFERENCE_NAMES.get(each.name, each.name)) for each in known
+    )
 
 
 def names() -> dict[str, Path]:

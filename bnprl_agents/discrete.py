@@ -118,7 +118,9 @@ def _discrete(name: str, space: Any, agents: tuple[str, ...] | None) -> list[gym
     spaces = [space] if agents is None else [space[agent] for agent in agents]
     for part in spaces:
         if not isinstance(part, gym.spaces.Discrete):
-            hint = "; discretise a Box first" if isinstance(part, gym.spaces.Box) else ""
+            wrapper = f"Discretize{name.removesuffix('_space').title()}"
+            box = isinstance(part, gym.spaces.Box)
+            hint = f"; discretise a Box first: gymnasium.wrappers.{wrapper}(env, 10)" if box else ""
             raise ValueError(f"{name}: {part}, but this agent needs Discrete{hint}")
     return spaces
 

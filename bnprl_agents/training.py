@@ -71,8 +71,9 @@ def train(
             learns from the whole episodes that still fit. Give one of the two.
 
     Raises:
-        ValueError: the budget is not given by exactly one positive number, autoreset is on, or
-            the model has rewards that the agent cannot use.
+        ValueError: the budget is not given by exactly one positive number, autoreset is on, the
+            model has rewards that the agent cannot use, or a controller learner's discount is 1
+            and episodes may last for ever.
     """
     budget = episodes if steps is None else steps
     if (episodes is None) == (steps is None) or budget is None or budget < 1:
@@ -98,10 +99,21 @@ def train(
             check_fit(model, agent.controllers)
             agent.check_reward(smallest_reward(model))
         return _train_compiled(agent, model, horizon, seed, episodes, steps)
+    if isinstance(agent, ControllerAgent) and agent.discount == 1.0 and not _has_horizon(env):
+        raise ValueError(
+            "discount: 1, but the environment has no horizon, so that returns may have no bound; "
+            "give it max_episode_steps, or the agent a discount below 1"
+        )
     world = world_of(env)
     if isinstance(agent, CompiledValueAgent) and agent.compiles and world and env.num_envs == 1:
         return _train_values(agent, world, horizon or NO_LIMIT, seed, episodes, steps)
     return _train_stepwise(agent, env, seed, episodes, steps)
+
+
+def _has_horizon(env: Any) -> bool:
+    spec = getattr(env, "spec", None)
+    limits = [getattr(env, "max_episode_steps", None), getattr(spec, "max_episode_steps", None)]
+    return any(limit is not None for limit in limits)
 
 
 def smallest_reward(model: TabularModel) -> float:

@@ -4,17 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from bnprl_agents.agent import Metrics
 from bnprl_agents.controllers.controller import Controller
-from bnprl_agents.controllers.messages import Messages
+from bnprl_agents.controllers.messages import Messages, forward
 from bnprl_agents.controllers.nested_em import NestedEM, NestedEMConfig
 from bnprl_agents.episodes import EpisodeBatch
+from bnprl_agents.policy_files import Arrays
 
 
 @dataclass(frozen=True)
 class BatchEMConfig(NestedEMConfig):
     """Settings of `BatchEM`. The source leaves K and the iteration counts open."""
+
+    keep: bool = False
+    """Learn from all episodes so far by their importance ratios, as the source does, instead of
+    the newest alone: the time grows with the square of their number, and so does the ratios'
+    variance with the distance to the first policies."""
 
 
 class BatchEM(NestedEM):
@@ -29,6 +36,11 @@ class BatchEM(NestedEM):
 
     Config = BatchEMConfig
     config: BatchEMConfig
+    kept: EpisodeBatch | None = None
+
+    def evidence_episodes(self, episodes: EpisodeBatch) -> int:
+        """The batch, or all episodes so far where they are kept."""
+        return self.episodes if self.config.keep else episodes.n_episodes
 
     def improve(self, data: EpisodeBatch, messages: Sequence[Messages]) -> Metrics:
         """Run nested EM on the batch; see `NestedEM.improve`.
@@ -36,11 +48,27 @@ class BatchEM(NestedEM):
         A batch of fewer episodes than wanted moves the controllers that part of the way only.
         """
         before, share = self.controllers, self.batch_share(data)
+        if self.config.keep:
+            data = data if self.kept is None else EpisodeBatch.concatenate([self.kept, data])
+            messages = [forward(data, n, controller) for n, controller in enumerate(before)]
+            self.kept = data
         metrics = super().improve(data, messages)
-        if share < 1.0:
+        if share < 1.0 and "unchanged" not in metrics:
             moved = zip(before, self.controllers, strict=True)
             self.begin_at([part_way(old, new, share) for old, new in moved])
         return metrics
+
+    def state_arrays(self) -> Arrays:
+        """The learner's state and the episodes that it keeps."""
+        kept = {} if self.kept is None else vars(self.kept)
+        return super().state_arrays() | {f"kept_{name}": table for name, table in kept.items()}
+
+    def restore(self, arrays: Arrays, counters: dict[str, Any]) -> None:
+        """Take over a saved state; see `Agent.restore`."""
+        super().restore(arrays, counters)
+        names = [name for name in arrays if name.startswith("kept_")]
+        if names:
+            self.kept = EpisodeBatch(**{n.removeprefix("kept_"): arrays[n] for n in names})
 
 
 def part_way(old: Controller, new: Controller, share: float) -> Controller:

@@ -3,175 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any, Literal
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
 
 from bnprl_agents.agent import Metrics
-from bnprl_agents.controllers.controller import Controller, normalised
-from bnprl_agents.controllers.dirichlet import geometric_mean
-from bnprl_agents.controllers.hdp import (
-    GammaPrior,
-    sample_row_concentration,
-    sample_tables,
-    sample_top_concentration,
-    sample_weights,
+from bnprl_agents.controllers.episode_pool import Behaviour, EpisodePool
+from bnprl_agents.controllers.hierarchy import (
+    HierarchicalPrior,
+    Hierarchy,
+    embedded,
+    first_hierarchy,
+    only,
+    resampled,
+    restricted,
+    shared_out,
 )
 from bnprl_agents.controllers.messages import Counts, Messages, backward, forward
-from bnprl_agents.controllers.nested_em import blended_value
-from bnprl_agents.controllers.paths import path_counts, sample_paths
+from bnprl_agents.controllers.paths import path_counts, reward_steps, sample_paths
 from bnprl_agents.controllers.priors import Posterior, Prior, blend, scaled
+from bnprl_agents.controllers.schedules import blended_value
 from bnprl_agents.controllers.variational import BayesianConfig, BayesianEM
-from bnprl_agents.episodes import BoolArray, EpisodeBatch, FloatArray, IntArray
+from bnprl_agents.episodes import EpisodeBatch
 from bnprl_agents.policy_files import Arrays
 
-ROW_PRIOR: GammaPrior = (10.0, 10.0)
-"""Of alpha, section 5.5, read as shape and rate."""
-TOP_PRIOR: GammaPrior = (3.0, 10.0)
-"""Of lambda."""
-
-
-@dataclass(frozen=True)
-class Hierarchy:
-    """What one agent's rows share, with room for Z nodes.
-
-    Attributes:
-        occupied: (Z,) nodes that hold something.
-        weights: (Z,) beta of the occupied nodes and, at the first free place, of the special
-            state that stands for all others; 0 elsewhere.
-        alpha: concentration of the rows around beta.
-        top: lambda, concentration of beta.
-    """
-
-    occupied: BoolArray
-    weights: FloatArray
-    alpha: float
-    top: float
-
-    @property
-    def special(self) -> int | None:
-        """Place of the special state; None where there is no room for another node."""
-        free = np.flatnonzero(~self.occupied)
-        return int(free[0]) if free.size else None
-
-    @property
-    def active(self) -> IntArray:
-        """Places of the occupied nodes and the special state."""
-        held = self.occupied.copy()
-        if self.special is not None:
-            held[self.special] = True
-        return np.flatnonzero(held)
-
-
-def first_hierarchy(room: int, nodes: int) -> Hierarchy:
-    """Equal weights for the first nodes and the special state; concentrations at prior means."""
-    occupied = np.arange(room) < nodes
-    weights = np.where(np.arange(room) <= nodes, 1.0, 0.0)
-    alpha, top = ROW_PRIOR[0] / ROW_PRIOR[1], TOP_PRIOR[0] / TOP_PRIOR[1]
-    return Hierarchy(occupied, weights / weights.sum(), alpha, top)
-
-
-def resampled(
-    hierarchy: Hierarchy, counts: Counts, occupied: BoolArray, rng: np.random.Generator
-) -> Hierarchy:
-    """One Gibbs sweep over m, beta, alpha and lambda, given sampled occupancies.
-
-    A special state that is occupied becomes a node, with a part Beta(1, lambda) of its weight; a
-    node that is not goes back to the special state.
-
-    Args:
-        hierarchy: the current one.
-        counts: phi, of sampled paths.
-        occupied: (Z,) places that hold something now.
-        rng: source of the draws.
-    """
-    weights, special = hierarchy.weights.copy(), hierarchy.special
-    if special is not None and occupied[special]:
-        weights[special] *= rng.beta(1.0, hierarchy.top)
-    held = np.flatnonzero(occupied)
-    rows = np.concatenate(
-        [counts.initial, counts.successor[:, :, held].reshape(-1, counts.initial.shape[1])]
-    )[:, held]
-    tables = sample_tables(rows, hierarchy.alpha * weights[held], rng).sum(axis=0)
-    kept = replace(hierarchy, occupied=occupied)
-    beta = sample_weights(tables, hierarchy.top, rng)
-    if kept.special is None:
-        beta = beta[:-1] / beta[:-1].sum()
-    fresh = np.zeros_like(weights)
-    fresh[held] = beta[: held.size]
-    if kept.special is not None:
-        fresh[kept.special] = beta[-1]
-    total = int(tables.sum())
-    return Hierarchy(
-        occupied,
-        np.maximum(fresh, np.where(fresh > 0.0, 1e-12, 0.0)),
-        sample_row_concentration(hierarchy.alpha, rows.sum(axis=1), total, ROW_PRIOR, rng),
-        sample_top_concentration(hierarchy.top, held.size, total, TOP_PRIOR, rng),
-    )
-
-
-class HierarchicalPrior:
-    """Dirichlet rows alpha beta over the active nodes, (5.9); places without a node have weight 0.
-
-    The special state enters the E-step with its expected weight: exp(E ln) of a node without
-    evidence is practically 0, and no node would ever be born.
-
-    Args:
-        actions: (A,) Dirichlet parameters of every row over actions.
-        hierarchy: see `Hierarchy`; replaced in every sweep.
-    """
-
-    def __init__(self, actions: FloatArray, hierarchy: Hierarchy) -> None:
-        self.actions, self.hierarchy = actions, hierarchy
-
-    def around(self, controller: Controller) -> Posterior:
-        """The prior plus the controller's rows, as from one visit of every entry."""
-        visits = Counts(
-            controller.n_nodes * controller.initial,
-            controller.n_actions * controller.action,
-            controller.n_nodes * controller.successor,
-        )
-        return self.update(visits, None)
-
-    def update(self, counts: Counts, old: Posterior | None) -> Posterior:
-        """Return prior + counts; what the counts hold in places without a node is left out."""
-        held = self.hierarchy.occupied
-        nodes = self.hierarchy.alpha * self.hierarchy.weights
-        occupied = held.astype(np.float64)
-        return self._posterior(
-            Counts(
-                nodes + counts.initial * occupied,
-                self.actions + counts.action * occupied[:, None],
-                nodes + counts.successor * (occupied[:, None] * occupied),
-            )
-        )
-
-    def restore(self, mean: Controller, parameters: Arrays) -> Posterior:
-        """Build a saved posterior again."""
-        return self._posterior(Counts(*(parameters[name] for name in Counts._fields)))
-
-    def _posterior(self, parameters: Counts) -> Posterior:
-        active, special = self.hierarchy.active, self.hierarchy.special
-        mean = Controller(*(normalised(table) for table in parameters))
-
-        def geometric(table: FloatArray) -> FloatArray:
-            rows = np.zeros_like(table)
-            rows[..., active] = geometric_mean(table[..., active])
-            return rows
-
-        initial, successor = geometric(parameters.initial), geometric(parameters.successor)
-        action = geometric_mean(parameters.action)
-        if special is not None:
-            initial[:, special] = mean.initial[:, special]
-            successor[..., special] = mean.successor[..., special]
-            action[special], successor[:, :, special] = (
-                mean.action[special],
-                mean.successor[:, :, special],
-            )
-        return Posterior(
-            mean, Controller(initial, action, successor), parameters=dict(parameters._asdict())
-        )
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -180,7 +37,8 @@ class InfiniteRPRConfig(BayesianConfig):
 
     alpha ~ Ga(10, 10) and lambda ~ Ga(3, 10) are read as shape and rate. An episode's occupancy is
     one path, up to a reward drawn in proportion to nu_t, with all of the episode's nu. The special
-    state enters the E-step with its expected weight.
+    state enters the E-step with its expected weight. Old episodes are weighed against the mixture
+    of all policies so far, not against the one that collected them.
     """
 
     nodes: int = 30
@@ -197,6 +55,15 @@ class InfiniteRPRConfig(BayesianConfig):
     exploration_prior: float = 50.0
     """u1 of the Beta distribution from which a node's exploitation is drawn; larger explores. The
     source's 2 stops exploring within a hundred episodes here, where u0 counts every visit."""
+    evidence_per_episode: float = 16.0
+    """Observations as which one episode weighs against the prior, where evidence_scale is 0. At 1
+    the price of a node's rows, some 50 nats, is above what memory gains in a thousand episodes
+    where policies differ by a few per cent in value."""
+    divisions: int = 2
+    """Proposals an update to divide a node in two; one is taken where it raises the lower bound.
+    Not in the source: the special state alone seldom breaks the symmetry of two equal nodes."""
+    division_sweeps: int = 15
+    """Variational sweeps before the bounds with and without the division are compared."""
     schedule: Literal["batch", "online"] = "batch"
     """batch: all episodes so far are kept and swept over, as in the source. online: running means
     of the statistics, and only the newest episodes are kept (the dissertation's future work)."""
@@ -210,8 +77,45 @@ class InfiniteRPRConfig(BayesianConfig):
                 f"initial_nodes: {self.initial_nodes}, must lie in [1, nodes - 1], nodes is "
                 f"{self.nodes}"
             )
+        if not 0.0 < self.evidence_per_episode < np.inf:
+            raise ValueError(
+                f"evidence_per_episode: {self.evidence_per_episode}, must be positive and finite"
+            )
+        if self.divisions < 0 or self.division_sweeps < 1:
+            raise ValueError(
+                f"divisions: {self.divisions}, division_sweeps: {self.division_sweeps}; must be at "
+                "least 0 and 1"
+            )
         if not 0.0 <= self.node_share < 1.0:
             raise ValueError(f"node_share: {self.node_share}, must lie in [0, 1)")
+
+
+class Update(NamedTuple):
+    """What the steps of one update have in common.
+
+    Attributes:
+        data: the episodes under study.
+        statistics, sampled: soft and drawn counts before the update.
+        log_value: ln V before it.
+        rate: learning rate.
+        scale: observations as which the statistics weigh against the prior.
+    """
+
+    data: EpisodeBatch
+    statistics: tuple[Counts, ...]
+    sampled: tuple[Counts, ...]
+    log_value: float
+    rate: float
+    scale: float
+
+
+class Fit(NamedTuple):
+    """A posterior of one agent after some sweeps, its statistics, its bound and ln V."""
+
+    posterior: Posterior
+    statistics: Counts
+    bound: float
+    log_value: float
 
 
 class InfiniteRPR(BayesianEM):
@@ -219,7 +123,8 @@ class InfiniteRPR(BayesianEM):
 
     A sweep takes nu and the nodes' posterior from the variational E-step, draws occupancies from
     it, and given these the nodes in use, the table counts m, beta, alpha and lambda. Nodes that
-    hold nothing go back to the special state; where that is occupied a node is born. The special
+    hold nothing go back to the special state; where that is occupied a node is born. After the
+    sweeps some nodes are divided on trial, and stay so where the lower bound rises. The special
     state and all nodes without reward always explore (unseen histories); the others as long as
     they were rewarded little against u1 (seen histories).
 
@@ -242,7 +147,7 @@ class InfiniteRPR(BayesianEM):
     ) -> None:
         super().__init__(observation_space, action_space, config, discount=discount, seed=seed)
         self.sampled = self.statistics
-        self.kept: EpisodeBatch | None = None
+        self.pool = EpisodePool()
 
     def make_priors(self) -> tuple[Prior, ...]:
         """The same hierarchy for every agent."""
@@ -256,66 +161,134 @@ class InfiniteRPR(BayesianEM):
         """All episodes so far."""
         return self.episodes
 
+    def evidence_scale(self, episodes: EpisodeBatch) -> float:
+        """Observations as which the statistics weigh against the prior."""
+        return self.config.evidence_scale or self.config.evidence_per_episode * self.episodes
+
     def learn(self, episodes: EpisodeBatch) -> Metrics:
         """Learn from new episodes; see `NestedEM.learn`. Also returns the mean number of nodes."""
         metrics = super().learn(episodes)
-        metrics.pop("bound", None)
         used = [int(prior.hierarchy.occupied.sum()) for prior in self.priors]
         return metrics | {"nodes": float(np.mean(used))}
 
     def improve(self, data: EpisodeBatch, messages: Sequence[Messages]) -> Metrics:
-        """Sweep over all episodes so far, or online over the newest."""
+        """Sweep over all episodes so far, or online over the newest, and try divisions."""
         rate, scale = self.learning_rate(data), self.evidence_scale(data)
         if self.config.schedule == "batch":
-            kept = [data] if self.kept is None else [self.kept, data]
-            data = self.kept = EpisodeBatch.concatenate(kept)
-        saved, sampled, log_saved = self.statistics, self.sampled, self.log_value
+            data = self.pool.add(data, self._behaviour(data.n_episodes))
+        update = Update(data, self.statistics, self.sampled, self.log_value, rate, scale)
         for _ in range(self.config.outer_iterations):
-            messages = [forward(data, n, p.geometric) for n, p in enumerate(self.posteriors)]
-            evidence = self.weigh(data, messages)
-            if evidence.log_value == -np.inf:
+            if not self._sweep(update):
                 self.log_value += np.log1p(-rate) if rate < 1.0 else 0.0
                 return {"unchanged": 1.0}
-            self.log_value, share = blended_value(log_saved, evidence.log_value, rate)
-            last, weights = reward_steps(data, evidence.shares, self.rng)
-            soft, drawn = [], []
-            for n, (posterior, message) in enumerate(zip(self.posteriors, messages, strict=True)):
-                counts = backward(data, n, posterior.geometric, message, evidence.shares)
-                soft.append(blend(saved[n], counts, share))
-                nodes = sample_paths(data, n, posterior.geometric, message, last, self.rng)
-                visited = path_counts(data, n, posterior.geometric, nodes, weights)
-                drawn.append(blend(sampled[n], visited, share))
-            self.statistics, self.sampled = self._sweep(soft, drawn, scale)
-        return {"learning_rate": rate}
+        divided = [self._try_division(update) for _ in range(self.config.divisions)]
+        return {"learning_rate": rate, "divided": float(sum(divided))}
 
-    def _sweep(
-        self, soft: Sequence[Counts], drawn: Sequence[Counts], scale: float
-    ) -> tuple[tuple[Counts, ...], tuple[Counts, ...]]:
-        """Resample the hierarchies and take over the posteriors; return statistics of nodes."""
+    def _behaviour(self, episodes: int) -> Behaviour:
+        """What the newest episodes were collected by, its unused nodes left out."""
+        active = [prior.hierarchy.active for prior in self.priors]
+        controllers = (restricted(c, z) for c, z in zip(self.controllers, active, strict=True))
+        explore = (e[z] for e, z in zip(self.explore, active, strict=True))
+        return Behaviour(tuple(controllers), tuple(explore), episodes)
+
+    def _sweep(self, update: Update) -> bool:
+        """Sample the hierarchies and the posteriors once; whether there was any evidence."""
+        data, active = update.data, [prior.hierarchy.active for prior in self.priors]
+        team = [
+            restricted(p.geometric, nodes) for p, nodes in zip(self.posteriors, active, strict=True)
+        ]
+        messages = [forward(data, n, controller) for n, controller in enumerate(team)]
+        evidence = self.weigh(data, messages)
+        if evidence.log_value == -np.inf:
+            return False
+        self.log_value, share = blended_value(update.log_value, evidence.log_value, update.rate)
+        last, weights = reward_steps(data, evidence.shares, self.rng)
+        soft, drawn = [], []
+        for n, (controller, message) in enumerate(zip(team, messages, strict=True)):
+            counts = backward(data, n, controller, message, evidence.shares)
+            paths = sample_paths(data, n, controller, message, last, self.rng)
+            visits = path_counts(data, n, controller, paths, weights)
+            counts, visits = (embedded(c, active[n], self.config.nodes) for c in (counts, visits))
+            soft.append(blend(update.statistics[n], counts, share))
+            drawn.append(blend(update.sampled[n], visits, share))
+        self._resample(soft, drawn, update.scale)
+        return True
+
+    def _resample(self, soft: Sequence[Counts], drawn: Sequence[Counts], scale: float) -> None:
+        """Resample the hierarchies and take over posteriors and statistics of the nodes left."""
         for prior, counts in zip(self.priors, drawn, strict=True):
             visits = counts.action.sum(axis=1)
             occupied = visits > self.config.node_share * visits.sum()
             prior.hierarchy = resampled(prior.hierarchy, scaled(counts, scale), occupied, self.rng)
         held = [prior.hierarchy.occupied.astype(np.float64) for prior in self.priors]
-        soft = [only(counts, nodes) for counts, nodes in zip(soft, held, strict=True)]
-        drawn = [only(counts, nodes) for counts, nodes in zip(drawn, held, strict=True)]
+        self.statistics = tuple(only(c, nodes) for c, nodes in zip(soft, held, strict=True))
+        self.sampled = tuple(only(c, nodes) for c, nodes in zip(drawn, held, strict=True))
         self.adopt(
             [
                 prior.update(scaled(counts, scale), posterior)
-                for prior, counts, posterior in zip(self.priors, soft, self.posteriors, strict=True)
+                for prior, counts, posterior in zip(
+                    self.priors, self.statistics, self.posteriors, strict=True
+                )
             ]
         )
-        return tuple(soft), tuple(drawn)
+
+    def _try_division(self, update: Update) -> bool:
+        """Divide a node of one agent, drawn by its visits, where that raises the lower bound."""
+        n = int(self.rng.integers(len(self.priors)))
+        prior, counts = self.priors[n], self.statistics[n]
+        place, visits = prior.hierarchy.special, counts.action.sum(axis=1)
+        if place is None:
+            return False
+        node = int(self.rng.choice(visits.size, p=visits / visits.sum()))
+        grown = HierarchicalPrior(prior.actions, prior.hierarchy.divided(node))
+        saved, counts = (
+            shared_out(each, node, place, self.rng) for each in (update.statistics[n], counts)
+        )
+        begun = grown.update(scaled(counts, update.scale), self.posteriors[n])
+        divided = self._fit(update, n, grown, begun, saved)
+        whole = self._fit(update, n, prior, self.posteriors[n], update.statistics[n])
+        better = divided.bound > whole.bound
+        self._take_over(n, grown if better else prior, divided if better else whole)
+        return better
+
+    def _fit(
+        self, update: Update, n: int, prior: HierarchicalPrior, posterior: Posterior, saved: Counts
+    ) -> Fit:
+        """Variational sweeps over one agent's posterior, hierarchy and team-mates held fixed."""
+        data, nodes = update.data, prior.hierarchy.active
+        messages = [forward(data, m, p.geometric) for m, p in enumerate(self.posteriors) if m != n]
+        for sweep in range(self.config.division_sweeps + 1):
+            controller = restricted(posterior.geometric, nodes)
+            message = forward(data, n, controller)
+            evidence = self.weigh(data, [*messages[:n], message, *messages[n:]])
+            log_value, share = blended_value(update.log_value, evidence.log_value, update.rate)
+            if sweep == self.config.division_sweeps:
+                break
+            counts = backward(data, n, controller, message, evidence.shares)
+            counts = blend(saved, embedded(counts, nodes, self.config.nodes), share)
+            posterior = prior.update(scaled(counts, update.scale), posterior)
+        fit = log_value if self.config.weighting == "reward" else share * evidence.fit
+        return Fit(posterior, counts, update.scale * fit - posterior.divergence, log_value)
+
+    def _take_over(self, n: int, prior: HierarchicalPrior, fit: Fit) -> None:
+        """Let an agent have another hierarchy and posterior; a division's visits are soft."""
+
+        def with_nth(values: Sequence[T], new: T) -> tuple[T, ...]:
+            return (*values[:n], new, *values[n + 1 :])
+
+        if prior is not self.priors[n]:
+            self.priors = with_nth(self.priors, prior)
+            self.sampled = with_nth(self.sampled, fit.statistics)
+        self.adopt(with_nth(self.posteriors, fit.posterior))
+        self.statistics, self.log_value = with_nth(self.statistics, fit.statistics), fit.log_value
 
     def state_arrays(self) -> Arrays:
         """The learner's state, hierarchies and kept episodes included."""
-        arrays = super().state_arrays()
+        arrays = super().state_arrays() | self.pool.state_arrays()
         for n, (prior, counts) in enumerate(zip(self.priors, self.sampled, strict=True)):
             hierarchy = vars(prior.hierarchy).items()
             arrays |= {f"hierarchy_{name}_{n}": np.asarray(value) for name, value in hierarchy}
             arrays |= {f"sampled_{name}_{n}": table for name, table in counts._asdict().items()}
-        if self.kept is not None:
-            arrays |= {f"kept_{name}": table for name, table in vars(self.kept).items()}
         return arrays
 
     def restore(self, arrays: Arrays, counters: dict[str, Any]) -> None:
@@ -332,36 +305,4 @@ class InfiniteRPR(BayesianEM):
             Counts(*(arrays[f"sampled_{name}_{n}"] for name in Counts._fields))
             for n in range(len(self.controllers))
         )
-        kept = {
-            name.removeprefix("kept_"): table
-            for name, table in arrays.items()
-            if name.startswith("kept_")
-        }
-        self.kept = EpisodeBatch(**kept) if kept else None
-
-
-def reward_steps(
-    episodes: EpisodeBatch, shares: FloatArray, rng: np.random.Generator
-) -> tuple[IntArray, FloatArray]:
-    """Draw each episode's step t in proportion to nu_t.
-
-    Returns:
-        (K,) rows of the steps, one before the first row where an episode has no reward; and (S,)
-        the sum of the episode's shares, at each of its steps.
-    """
-    first, lengths = episodes.offsets[:-1], episodes.lengths
-    total = np.add.reduceat(shares, first)
-    ahead = np.cumsum(shares)
-    before = ahead[first] - shares[first]
-    wanted = before + rng.random(total.size) * total
-    last = np.minimum(np.searchsorted(ahead, wanted, side="right"), first + lengths - 1)
-    return np.where(total > 0.0, last, first - 1), np.repeat(total, lengths)
-
-
-def only(counts: Counts, nodes: FloatArray) -> Counts:
-    """Counts of some nodes (Z,), 1 or 0, and moves between them."""
-    return Counts(
-        counts.initial * nodes,
-        counts.action * nodes[:, None],
-        counts.successor * (nodes[:, None] * nodes),
-    )
+        self.pool = EpisodePool.restored(arrays, len(self.controllers))

@@ -279,12 +279,23 @@ def shifted(episodes: EpisodeBatch, shift: float, discount: float) -> EpisodeBat
     Args:
         episodes: K episodes.
         shift: amount to add, at least minus the smallest reward.
-        discount: factor in (0, 1).
+        discount: factor in (0, 1); 1 serves where no episode has terminated.
+
+    Raises:
+        ValueError: a terminal state would earn an infinite shift.
     """
     if shift == 0.0:
         return episodes
+    if discount == 1.0 and episodes.terminated.any():
+        raise ValueError(
+            f"reward_shift: {shift:g}, with a discount of 1 a terminal state would earn it for "
+            "ever; take a discount below 1, or rewards that are not negative"
+        )
     rewards = episodes.rewards + shift
-    rewards[episodes.offsets[1:][episodes.terminated] - 1] += shift * discount / (1.0 - discount)
+    if discount < 1.0:
+        rewards[episodes.offsets[1:][episodes.terminated] - 1] += (
+            shift * discount / (1.0 - discount)
+        )
     return EpisodeBatch(**(vars(episodes) | {"rewards": rewards}))
 
 

@@ -13,6 +13,7 @@ from bnprl_agents.controllers.controller import Controller
 from bnprl_agents.controllers.learner import ControllerAgent, shifted
 from bnprl_agents.controllers.messages import Counts, Messages, backward, forward
 from bnprl_agents.controllers.priors import MaximumLikelihood, Posterior, Prior, blend, scaled
+from bnprl_agents.controllers.schedules import blended_value, exponential
 from bnprl_agents.controllers.weighting import Evidence, by_return, by_reward
 from bnprl_agents.episodes import EpisodeBatch, FloatArray
 from bnprl_agents.policy_files import Arrays
@@ -106,23 +107,6 @@ def check_settings(config: NestedEMConfig) -> None:
         raise ValueError(f"weighting: {config.weighting!r}, must be 'reward' or 'return'")
     if config.weighting == "return" and config.batch_episodes < 2:
         raise ValueError("batch_episodes: 1, must be at least 2 to weigh episodes by their returns")
-
-
-def check_schedule(exponent: float, offset: float) -> None:
-    """Check the settings of a Robbins-Monro schedule.
-
-    Raises:
-        ValueError: names the setting, what it was and what is allowed.
-    """
-    if not 0.5 < exponent <= 1.0:
-        raise ValueError(f"rate_exponent: {exponent}, must lie in (0.5, 1]")
-    if not 0.0 < offset < np.inf:
-        raise ValueError(f"rate_offset: {offset}, must be positive")
-
-
-def robbins_monro(updates: int, exponent: float, offset: float) -> float:
-    """Learning rate alpha_n = (1 + n / offset)^-exponent of update n."""
-    return float((1.0 + updates / offset) ** -exponent)
 
 
 class NestedEM(ControllerAgent):
@@ -304,21 +288,3 @@ class NestedEM(ControllerAgent):
         log_value = counters["log_value"]
         self.log_value = -np.inf if log_value is None else float(log_value)
         self.updates, self.episodes = int(counters["updates"]), int(counters["episodes"])
-
-
-def exponential(logarithm: float) -> float:
-    """exp, infinite where it overflows: importance ratios know no bound."""
-    with np.errstate(over="ignore"):
-        return float(np.exp(logarithm))
-
-
-def blended_value(log_old: float, log_new: float, rate: float) -> tuple[float, float]:
-    """Blend two values given by their logarithms.
-
-    Returns:
-        ln((1 - rate) V + rate V_n) and the new one's share of it. V_n must be positive.
-    """
-    log_fresh = np.log(rate) + log_new
-    with np.errstate(divide="ignore"):
-        log_total = float(np.logaddexp(np.log1p(-rate) + log_old, log_fresh))
-    return log_total, float(np.exp(log_fresh - log_total))

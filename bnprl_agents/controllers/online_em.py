@@ -8,12 +8,8 @@ from typing import Any, Literal
 
 from bnprl_agents.agent import Metrics
 from bnprl_agents.controllers.exploration import exploration_suffices
-from bnprl_agents.controllers.nested_em import (
-    NestedEM,
-    NestedEMConfig,
-    check_schedule,
-    robbins_monro,
-)
+from bnprl_agents.controllers.nested_em import NestedEM, NestedEMConfig
+from bnprl_agents.controllers.schedules import check_schedule, robbins_monro
 from bnprl_agents.episodes import EpisodeBatch, FloatArray
 from bnprl_agents.policy_files import Arrays
 

@@ -65,6 +65,24 @@ def path_counts(
     return counts
 
 
+def reward_steps(
+    episodes: EpisodeBatch, shares: FloatArray, rng: np.random.Generator
+) -> tuple[IntArray, FloatArray]:
+    """Draw each episode's step t in proportion to nu_t.
+
+    Returns:
+        (K,) rows of the steps, one before the first row where an episode has no reward; and (S,)
+        the sum of the episode's shares, at each of its steps.
+    """
+    first, lengths = episodes.offsets[:-1], episodes.lengths
+    total = np.add.reduceat(shares, first)
+    ahead = np.cumsum(shares)
+    before = ahead[first] - shares[first]
+    wanted = before + rng.random(total.size) * total
+    last = np.minimum(np.searchsorted(ahead, wanted, side="right"), first + lengths - 1)
+    return np.where(total > 0.0, last, first - 1), np.repeat(total, lengths)
+
+
 @njit(cache=True)
 def _sample_paths(offsets, observations, actions, successor, alpha, last, uniform):  # type: ignore[no-untyped-def]
     n_nodes = alpha.shape[1]

@@ -8,13 +8,9 @@ from typing import Literal
 import numpy as np
 
 from bnprl_agents.controllers.dirichlet import DirichletPrior
-from bnprl_agents.controllers.nested_em import (
-    NestedEM,
-    NestedEMConfig,
-    check_schedule,
-    robbins_monro,
-)
+from bnprl_agents.controllers.nested_em import NestedEM, NestedEMConfig
 from bnprl_agents.controllers.priors import Prior
+from bnprl_agents.controllers.schedules import check_schedule, robbins_monro
 from bnprl_agents.episodes import EpisodeBatch
 
 

@@ -6,13 +6,17 @@ import pytest
 
 from bnprl_agents.controllers.em import BatchEM, BatchEMConfig
 from bnprl_agents.controllers.exploration import exploration_suffices, exploring_probability
+from bnprl_agents.controllers.infinite import InfiniteRPR
 from bnprl_agents.controllers.learner import shifted
 from bnprl_agents.controllers.messages import forward, reward_shares, soft_counts
-from bnprl_agents.controllers.nested_em import blended_value, inner_em
+from bnprl_agents.controllers.nested_em import inner_em
 from bnprl_agents.controllers.online_em import OnlineEM, OnlineEMConfig
 from bnprl_agents.controllers.priors import MaximumLikelihood, maximise
 from bnprl_agents.controllers.rollout import rollout
+from bnprl_agents.controllers.schedules import blended_value
 from bnprl_agents.controllers.value import controller_value
+from bnprl_agents.controllers.variational import VariationalBayes
+from bnprl_agents.episodes import EpisodeBatch
 from tests.agents.cases import random_episodes, random_model, random_team
 
 DISCOUNT = 0.9
@@ -116,6 +120,37 @@ def test_online_blends_with_the_saved_statistics_once_an_update():
     assert agent.value == pytest.approx((1 - rate) * value)
     for before, after in zip(policy, agent.controllers, strict=True):
         np.testing.assert_allclose(after.action, before.action)
+
+
+@pytest.mark.parametrize("agent_class", [BatchEM, OnlineEM, VariationalBayes, InfiniteRPR])
+def test_episodes_without_reward_leave_the_policy_unchanged_and_say_so(agent_class):
+    silent = random_episodes(np.random.default_rng(5), (3, 4), (2,), (4,))
+    silent.rewards[:] = 0.0
+    agent = agent_class(*SPACES, discount=0.9, seed=0)
+    before = agent.controllers[0]
+    assert agent.learn(silent)["unchanged"] == 1.0
+    for name, table in vars(before).items():
+        np.testing.assert_array_equal(getattr(agent.controllers[0], name), table)
+
+
+def test_batch_keeps_all_episodes_where_told():
+    rng = np.random.default_rng(6)
+    batches = [random_episodes(rng, (3, 4), (2,), (4,)) for _ in range(3)]
+    kept, one = (
+        BatchEM(
+            *SPACES, BatchEMConfig(nodes=2, batch_episodes=n, keep=n == 2), discount=0.9, seed=0
+        )
+        for n in (2, 6)
+    )
+    for batch in batches:
+        before = kept.controllers
+        kept.learn(batch)
+    one.begin_at(before)
+    one.learn(EpisodeBatch.concatenate(batches))
+    assert kept.kept is not None
+    assert kept.kept.n_episodes == 6
+    for name, table in vars(one.controllers[0]).items():
+        np.testing.assert_allclose(getattr(kept.controllers[0], name), table)
 
 
 def test_a_part_of_a_batch_moves_the_learners_part_of_the_way():

@@ -7,20 +7,24 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
+from bnprl_agents.controllers.controller import Controller
+from bnprl_agents.controllers.episode_pool import Behaviour, EpisodePool, log_probability
 from bnprl_agents.controllers.hdp import (
     sample_row_concentration,
     sample_tables,
     sample_top_concentration,
     sample_weights,
 )
-from bnprl_agents.controllers.infinite import (
+from bnprl_agents.controllers.hierarchy import (
     Hierarchy,
-    InfiniteRPR,
-    InfiniteRPRConfig,
+    embedded,
     first_hierarchy,
+    only,
     resampled,
-    reward_steps,
+    restricted,
+    shared_out,
 )
+from bnprl_agents.controllers.infinite import InfiniteRPR, InfiniteRPRConfig
 from bnprl_agents.controllers.mcem import (
     MonteCarloEM,
     MonteCarloEMConfig,
@@ -28,8 +32,8 @@ from bnprl_agents.controllers.mcem import (
     last_possible,
     rewards_from,
 )
-from bnprl_agents.controllers.messages import Counts, backward, forward, soft_counts
-from bnprl_agents.controllers.paths import path_counts, sample_paths
+from bnprl_agents.controllers.messages import Counts, backward, forward, running_sum, soft_counts
+from bnprl_agents.controllers.paths import path_counts, reward_steps, sample_paths
 from bnprl_agents.controllers.rollout import rollout
 from bnprl_agents.controllers.value import controller_value
 from bnprl_agents.controllers.weighting import by_reward
@@ -162,7 +166,7 @@ def learner(**settings):
 def test_it_learns_to_use_its_memory(schedule):
     model, rng = copying_model(), np.random.default_rng(5)
     agent = learner(schedule=schedule, batch_episodes=50)
-    for _ in range(40):
+    for _ in range(40 if schedule == "online" else 15):
         metrics = agent.learn(
             rollout(
                 model, agent.controllers, episodes=50, horizon=5, rng=rng, explore=agent.explore
@@ -180,7 +184,59 @@ def test_all_episodes_are_kept_by_the_batch_schedule_alone():
         agent = learner(schedule=schedule)
         for _ in range(3):
             agent.learn(random_episodes(rng, (2, 3), (2,), (3,)))
-        assert (agent.kept and agent.kept.n_episodes) == kept
+        assert (agent.pool.episodes and agent.pool.episodes.n_episodes) == kept
+
+
+def test_a_pool_weighs_against_the_mixture_of_what_collected_it():
+    model, rng = copying_model(), np.random.default_rng(9)
+    teams = [random_team(rng, (3,), (2,), (3,)) for _ in range(2)]
+    explore = [(rng.random(3),) for _ in range(2)]
+    batches = [
+        rollout(model, team, episodes=k, horizon=4, rng=rng, explore=e)
+        for team, e, k in zip(teams, explore, (6, 2), strict=True)
+    ]
+    behaviours = [Behaviour(t, e, k) for t, e, k in zip(teams, explore, (6, 2), strict=True)]
+    pool = EpisodePool()
+    for batch, behaviour in zip(batches, behaviours, strict=True):
+        own = running_sum(batch.offsets, np.log(batch.behaviour[:, 0]))
+        np.testing.assert_allclose(log_probability(batch, behaviour), own, atol=1e-5)
+        pool.add(batch, behaviour)
+    found = running_sum(pool.episodes.offsets, np.log(pool.episodes.behaviour[:, 0]))
+    p, q = (np.exp(log_probability(pool.episodes, b)) for b in behaviours)
+    np.testing.assert_allclose(np.exp(found), (6 * p + 2 * q) / 8)
+    foreign = replace(batches[0], behaviour=np.full_like(batches[0].behaviour, 0.9))
+    pool.add(foreign, behaviours[0])
+    np.testing.assert_allclose(pool.episodes.behaviour[-foreign.n_steps :], 0.9)
+    again = EpisodePool.restored(pool.state_arrays(), 1)
+    for one in (pool, again):
+        one.add(batches[1], behaviours[1])
+    np.testing.assert_array_equal(pool.episodes.behaviour, again.episodes.behaviour)
+
+
+def test_a_division_keeps_the_counts_and_the_weights():
+    rng = np.random.default_rng(10)
+    hierarchy = first_hierarchy(room=4, nodes=2)
+    grown = hierarchy.divided(1)
+    assert grown.occupied.tolist() == [True, True, True, False]
+    np.testing.assert_allclose(grown.weights, [1 / 3, 1 / 6, 1 / 6, 1 / 3])
+    with pytest.raises(ValueError, match="no room"):
+        grown.divided(0).divided(0)
+    counts = Counts(rng.random((3, 4)), rng.random((4, 2)), rng.random((2, 3, 4, 4)))
+    counts = only(counts, hierarchy.occupied.astype(float))
+    shared = shared_out(counts, 1, 2, rng)
+    np.testing.assert_allclose(shared.initial.sum(), counts.initial.sum())
+    np.testing.assert_allclose(shared.action[1] + shared.action[2], counts.action[1])
+    np.testing.assert_allclose(
+        shared.successor[:, :, 1:3].sum(axis=2)[..., 1:3].sum(axis=-1), counts.successor[:, :, 1, 1]
+    )
+    nodes = np.array([0, 2])
+    whole = embedded(Counts(*restricted_counts(shared, nodes)), nodes, 4)
+    assert whole.action[1].sum() == 0.0
+    np.testing.assert_array_equal(whole.successor[:, :, 2, 0], shared.successor[:, :, 2, 0])
+
+
+def restricted_counts(counts, nodes):
+    return vars(restricted(Controller(*counts), nodes)).values()
 
 
 def test_rows_of_controllers_are_proper_whatever_was_born_or_dropped():

@@ -25,6 +25,7 @@ from bnprl_agents.random_agent import RandomAgent
 from bnprl_agents.training import Progress, smallest_reward, train
 from bnprl_envs.model import TabularModel
 from bnprl_envs.tabular_vector import TabularVectorEnv
+from tests.agents.cases import random_episodes
 
 SPACES = gym.spaces.Discrete(3), gym.spaces.Discrete(2)
 every_agent = pytest.mark.parametrize(
@@ -214,6 +215,23 @@ def test_negative_rewards_are_refused_before_anything_is_run():
         compiled(env_model, small_agent(), steps=100)
     assert refused.value.shift == 2.5
     assert compiled(env_model, small_agent(reward_shift=2.5), steps=100)[-1].metrics
+
+
+def test_a_discount_of_1_needs_a_horizon():
+    model, agent = small_model(), OnlineEM(*SPACES, discount=1.0, seed=0)
+    endless = TabularVectorEnv(model, 2, autoreset_mode="Disabled")
+    with pytest.raises(ValueError, match="discount: 1, but the environment has no horizon"):
+        train(agent, endless, seed=0, episodes=1)
+    limited = TabularVectorEnv(model, 2, max_episode_steps=3, autoreset_mode="Disabled")
+    assert list(train(agent, limited, seed=0, episodes=1))
+
+
+def test_a_shift_with_a_discount_of_1_is_refused_where_episodes_end():
+    agent = OnlineEM(*SPACES, OnlineEMConfig(reward_shift=1.0), discount=1.0, seed=0)
+    episodes = random_episodes(np.random.default_rng(0), (3, 2), (2,), (3,))
+    episodes.terminated[:] = True
+    with pytest.raises(ValueError, match="reward_shift: 1, with a discount of 1"):
+        agent.learn(episodes)
 
 
 def test_a_negative_reward_is_refused_at_the_first_step():

@@ -189,4 +189,4 @@ def test_plot_draws_values_and_refuses_what_has_none(tmp_path, capsys):
     assert policy.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
     other = tmp_path / "random" / "runs" / "random" / "0.policy.npz"
     assert cli.main(["plot", str(other)]) == 2
-    assert "holds no action values" in capsys.readouterr().err
+    assert "holds neither action values nor controllers" in capsys.readouterr().err

@@ -1,0 +1,58 @@
+"""Figure 4.2: online EM on Hallway and Tag with 10 to 60 nodes."""
+
+from __future__ import annotations
+
+from baselines.environment import EnvironmentSpec
+from baselines.experiment import Entry, Experiment
+from baselines.experiments.figure_4_1 import PROBLEMS
+from baselines.reproduction import LENGTH, RETURN, REWARD, Comparison, Reproduction, registered
+
+NODES = (10, 20, 30, 40, 50, 60)
+RUNS = {"Hallway": (50_000, 5), "Tag": (20_000, 3)}
+"""Training episodes and seeds."""
+QUICK = {"seeds": 1, "episodes": 2_000, "eval_points": 5}
+
+
+def panels(name: str) -> tuple[Comparison, ...]:
+    """Return a problem's panels, of the same runs."""
+    _, horizon, _, settings = PROBLEMS[name]
+    episodes, seeds = RUNS[name]
+    experiment = Experiment(
+        EnvironmentSpec(f"bnprl/{name}-v0", {"max_episode_steps": horizon}),
+        (
+            *(Entry(f"nodes-{z}", "online-em", {"nodes": z} | settings) for z in NODES),
+            Entry("random", "random", {}),
+        ),
+        episodes=episodes,
+        seeds=seeds,
+        eval_episodes=1000,
+        eval_points=20,
+    )
+    known = registered(f"bnprl/{name}-v0")
+    value = Comparison(
+        name.lower(), name, experiment, QUICK, RETURN, references=known, x="episodes"
+    )
+    steps = Comparison(name.lower(), f"{name}: steps", experiment, QUICK, LENGTH, x="episodes")
+    if name == "Tag":
+        return value, steps
+    goal = Comparison(
+        name.lower(),
+        f"{name}: share of episodes at the goal",
+        experiment,
+        QUICK,
+        REWARD,
+        x="episodes",
+    )
+    return value, goal, steps
+
+
+REPRODUCTION = Reproduction(
+    title="Figure 4.2: online EM by number of nodes",
+    panels=tuple(panel for name in RUNS for panel in panels(name)),
+    notes=(
+        "An episode of Hallway earns 1 at the goal and nothing else, so that the mean sum of its "
+        "rewards is the share of episodes that reach it; in Tag the steps say as much, 101 being "
+        "those of an episode that is cut.",
+        "Other learners in these two environments: figure 4.1.",
+    ),
+)

@@ -1,0 +1,66 @@
+"""Figure 5.1: iRPR on the noisy maze: value, exploration and nodes, by the prior on exploring."""
+
+from __future__ import annotations
+
+from baselines.environment import EnvironmentSpec
+from baselines.experiment import Entry, Experiment
+from baselines.reproduction import EXACT, Comparison, Measure, Reproduction, learner_metric
+
+PRIORS = (0.2, 2.0, 20.0, 200.0)
+EXPERIMENT = Experiment(
+    EnvironmentSpec("bnprl/NoisyMaze1D-v0"),
+    (
+        *(Entry(f"u1={u:g}", "infinite-rpr", {"exploration_prior": u}) for u in PRIORS),
+        Entry("online-em", "online-em", {"batch_episodes": 20}),
+        Entry("ours", "predictive-actor-critic", {"batch_steps": 256, "minibatch_steps": 256}),
+    ),
+    episodes=1000,
+    seeds=10,
+    eval_episodes=200,
+    eval_points=25,
+)
+QUICK = {"seeds": 1, "episodes": 300, "eval_points": 10}
+DEEP = Experiment(
+    EXPERIMENT.environment,
+    (Entry("recurrent-ppo", "recurrent-ppo", {}), Entry("random", "random", {})),
+    episodes=1000,
+    seeds=3,
+    eval_episodes=1000,
+    eval_points=1,
+)
+WHAT_WAS_EARNED = learner_metric("mean return of the newest episodes", "return_mean")
+EXPLORING = learner_metric("share of steps that explore", "exploring")
+NODES = learner_metric("nodes", "nodes")
+
+
+def panel(title: str, measure: Measure) -> Comparison:
+    """Return one panel; all are of the same runs."""
+    return Comparison("maze", title, EXPERIMENT, QUICK, measure, x="episodes", logarithmic_x=True)
+
+
+REPRODUCTION = Reproduction(
+    title="Figure 5.1: iRPR on the noisy one-dimensional maze",
+    panels=(
+        Comparison(
+            "maze",
+            "the learned policy",
+            EXPERIMENT,
+            QUICK,
+            EXACT,
+            slow=DEEP,
+            slow_quick={"seeds": 1, "episodes": 100, "eval_episodes": 200},
+            x="episodes",
+            logarithmic_x=True,
+        ),
+        panel("while exploring", WHAT_WAS_EARNED),
+        panel("exploration", EXPLORING),
+        panel("nodes in use", NODES),
+    ),
+    notes=(
+        "The source draws the mean reward of all episodes so far, less the optimum; here the "
+        "learned policy's exact value and the newest episodes' return stand apart.",
+        "Its curves with a fixed exploration rate are left out.",
+        "recurrent-ppo has 3 seeds and is in the summary of maze-slow, without an exact value: its "
+        "return is simulated.",
+    ),
+)

@@ -1,0 +1,77 @@
+"""Figure 5.2: rewards earned while learning, iRPR against EM with a fixed number of nodes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from baselines.environment import EnvironmentSpec
+from baselines.experiment import Entry, Experiment
+from baselines.experiments.table_4_3 import SHIFTS
+from baselines.reproduction import EARNED, RETURN, Comparison, Reproduction, registered
+
+STEPS = {"Hallway": 300_000, "Tag": 300_000}
+ONLINE: dict[str, Any] = {"schedule": "online", "batch_episodes": 50}
+QUICK = {"seeds": 1, "steps": 20_000, "eval_points": 5}
+
+
+def panels(name: str) -> tuple[Comparison, Comparison]:
+    """Return an environment's two panels, of the same runs."""
+    environment = EnvironmentSpec(f"bnprl/{name}-v0", {"max_episode_steps": 101})
+    shift = SHIFTS[name]
+    experiment = Experiment(
+        environment,
+        (
+            Entry("infinite-rpr", "infinite-rpr", ONLINE | shift),
+            *(
+                Entry(f"online-em-{z}", "online-em", {"batch_episodes": 50, "nodes": z} | shift)
+                for z in (10, 20, 40)
+            ),
+            Entry("random", "random", {}),
+        ),
+        steps=STEPS[name],
+        seeds=10,
+        eval_episodes=500,
+        eval_points=20,
+    )
+    deep = Experiment(
+        environment,
+        (Entry("recurrent-ppo", "recurrent-ppo", {}), Entry("ours", "predictive-actor-critic", {})),
+        steps=60_000,
+        seeds=2,
+        eval_episodes=500,
+        eval_points=10,
+    )
+    slow_quick = {"seeds": 1, "steps": 4_096, "eval_points": 2}
+    earned = Comparison(
+        name.lower(),
+        f"{name}: earned while learning",
+        experiment,
+        QUICK,
+        EARNED,
+        slow=deep,
+        slow_quick=slow_quick,
+        logarithmic_x=True,
+    )
+    value = Comparison(
+        name.lower(),
+        f"{name}: the learned policy",
+        experiment,
+        QUICK,
+        RETURN,
+        slow=deep,
+        slow_quick=slow_quick,
+        references=registered(f"bnprl/{name}-v0"),
+        logarithmic_x=True,
+    )
+    return earned, value
+
+
+REPRODUCTION = Reproduction(
+    title="Figure 5.2: iRPR and EM with a fixed number of nodes",
+    panels=tuple(panel for name in STEPS for panel in panels(name)),
+    notes=(
+        "iRPR learns online, from the newest 50 episodes and running statistics.",
+        "recurrent-ppo and ours (predictive-actor-critic) have 2 seeds and 60,000 steps.",
+        "The source's numbers of iPOMDP and EM are pictures; table 4.3 has those of few steps.",
+    ),
+)

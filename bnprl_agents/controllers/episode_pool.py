@@ -1,0 +1,160 @@
+"""All episodes so far, weighed against the mixture of all policies that collected them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from bnprl_agents.controllers.controller import Controller
+from bnprl_agents.controllers.messages import Counts, running_sum
+from bnprl_agents.episodes import EpisodeBatch, FloatArray
+from bnprl_agents.policy_files import Arrays
+
+TOLERANCE = 1e-2
+"""Of log-probabilities: rollouts filter in single precision."""
+
+
+class Behaviour(NamedTuple):
+    """What collected some episodes.
+
+    Attributes:
+        controllers: one for each agent.
+        explore: for each agent (Z,), the probability of exploring in each node.
+        episodes: how many it collected.
+    """
+
+    controllers: tuple[Controller, ...]
+    explore: tuple[FloatArray, ...]
+    episodes: int
+
+
+class EpisodePool:
+    """Episodes of many policies, as if each had been collected by their mixture.
+
+    An importance ratio against an episode's own behaviour grows without bound as the learned policy
+    moves away from it; against the mixture b_t = sum_m (K_m / K) p_m(a_{0:t} | o_{1:t}) it is at
+    most K / K_m under policy m. Either is unbiased: the balance heuristic.
+
+    Paper: Veach and Guibas, Optimally combining sampling techniques for Monte Carlo rendering,
+    SIGGRAPH 1995; for policies, Peshkin and Shelton, Learning from scarce experience, ICML 2002.
+
+    Episodes whose recorded probabilities are not those of the behaviour that is said to have
+    collected them, a given data set say, keep what was recorded.
+
+    Attributes:
+        episodes: K of them, with the mixture's conditional probabilities as their behaviour, in
+            a team's first column alone; None before the first.
+        behaviours: what collected them, oldest first.
+    """
+
+    def __init__(self) -> None:
+        self.episodes: EpisodeBatch | None = None
+        self.behaviours: list[Behaviour] = []
+        self._log_mixture = np.zeros(0)  # sum over m of K_m p_m, a foreign step's b
+        self._mixed = np.zeros(0, dtype=np.bool_)
+
+    def add(self, fresh: EpisodeBatch, behaviour: Behaviour) -> EpisodeBatch:
+        """Take in new episodes and what collected them; return all."""
+        old = self.episodes
+        joined = fresh if old is None else EpisodeBatch.concatenate([old, fresh])
+        log_fresh = running_sum(fresh.offsets, np.log(fresh.behaviour).sum(axis=1))
+        own = np.abs(log_fresh - log_probability(fresh, behaviour)).max() < TOLERANCE
+        if own:
+            if old is not None:
+                seen = np.log(behaviour.episodes) + log_probability(old, behaviour)
+                mixture = np.logaddexp(self._log_mixture, seen)
+                self._log_mixture = np.where(self._mixed, mixture, self._log_mixture)
+            self.behaviours.append(behaviour)
+            every = [np.log(b.episodes) + log_probability(fresh, b) for b in self.behaviours]
+            log_fresh = np.logaddexp.reduce(every)
+        self._log_mixture = np.append(self._log_mixture, log_fresh)
+        self._mixed = np.append(self._mixed, np.full(fresh.n_steps, own))
+        first = joined.offsets[:-1]
+        log_b = np.diff(self._log_mixture, prepend=0.0)
+        log_total = np.log(max(1, sum(b.episodes for b in self.behaviours)))
+        log_b[first] = self._log_mixture[first] - np.where(self._mixed[first], log_total, 0.0)
+        probability = np.ones_like(joined.behaviour)
+        probability[:, 0] = np.exp(np.minimum(log_b, 0.0))
+        self.episodes = EpisodeBatch(**(vars(joined) | {"behaviour": probability}))
+        return self.episodes
+
+    def state_arrays(self) -> Arrays:
+        """Everything that a pool holds."""
+        if self.episodes is None:
+            return {}
+        arrays = {f"pool_{name}": table for name, table in vars(self.episodes).items()}
+        arrays["pool_sizes"] = np.array([b.episodes for b in self.behaviours])
+        arrays |= {"pool_log_mixture": self._log_mixture, "pool_mixed": self._mixed}
+        for m, b in enumerate(self.behaviours):
+            for n, (controller, explore) in enumerate(zip(b.controllers, b.explore, strict=True)):
+                arrays[f"pool_explore_{m}_{n}"] = explore
+                arrays |= {f"pool_{k}_{m}_{n}": table for k, table in vars(controller).items()}
+        return arrays
+
+    @classmethod
+    def restored(cls, arrays: Arrays, n_agents: int) -> EpisodePool:
+        """Build a saved pool again."""
+        pool = cls()
+        if "pool_sizes" not in arrays:
+            return pool
+        fields = EpisodeBatch.__dataclass_fields__
+        pool.episodes = EpisodeBatch(**{name: arrays[f"pool_{name}"] for name in fields})
+        pool._log_mixture, pool._mixed = arrays["pool_log_mixture"], arrays["pool_mixed"]
+        team = range(n_agents)
+        for m, size in enumerate(arrays["pool_sizes"].tolist()):
+            controllers = tuple(
+                Controller(*(arrays[f"pool_{name}_{m}_{n}"] for name in Counts._fields))
+                for n in team
+            )
+            explore = tuple(arrays[f"pool_explore_{m}_{n}"] for n in team)
+            pool.behaviours.append(Behaviour(controllers, explore, size))
+        return pool
+
+
+def log_probability(episodes: EpisodeBatch, behaviour: Behaviour) -> FloatArray:
+    """Log of p(a_{0:t} | o_{1:t}) (S,) of a team that explores, (2.46), summed over agents."""
+    agents: Sequence[FloatArray] = [
+        _log_probability(
+            episodes.offsets,
+            episodes.observations[:, n],
+            episodes.actions[:, n],
+            controller.initial,
+            controller.action,
+            controller.successor,
+            explore,
+        )
+        for n, (controller, explore) in enumerate(
+            zip(behaviour.controllers, behaviour.explore, strict=True)
+        )
+    ]
+    summed: FloatArray = np.sum(agents, axis=0)
+    return summed
+
+
+@njit(cache=True)
+def _log_probability(offsets, observations, actions, initial, action, successor, explore):  # type: ignore[no-untyped-def]
+    n_nodes, n_actions = action.shape
+    found = np.empty(observations.size)
+    node, ahead = np.empty(n_nodes), np.empty(n_nodes)
+    for k in range(offsets.size - 1):
+        so_far = 0.0
+        node[:] = initial[observations[offsets[k]]]
+        for t in range(offsets[k], offsets[k + 1]):
+            if t > offsets[k]:
+                move = successor[actions[t - 1], observations[t]]
+                ahead[:] = 0.0
+                for i in range(n_nodes):
+                    ahead += node[i] * action[i, actions[t - 1]] * move[i]
+                total = ahead.sum()
+                if total > 0.0:
+                    node[:] = ahead / total
+                else:
+                    node[:] = 1.0 / n_nodes
+            exploring = (node * explore).sum()
+            exploit = (node * action[:, actions[t]]).sum()
+            so_far += np.log((1.0 - exploring) * exploit + exploring / n_actions)
+            found[t] = so_far
+    return found
