@@ -74,7 +74,8 @@ def judge(claim: str, found: str, holds: bool) -> bool:
 def show_steps(runs: Curves, reached: Callable[[Record], bool]) -> dict[str, FloatArray]:
     """Print when each contender reached a goal, and how many seeds hold it at the end."""
     steps = {name: first_steps(found, reached) for name, found in runs.items()}
-    print(f"{'':6}{'contender':18}{'median steps':>14}{'95% interval':>22}{'reached':>10}{'held':>8}")
+    header = f"{'median steps':>14}{'95% interval':>22}{'reached':>10}{'held':>8}"
+    print(f"{'':6}{'contender':18}{header}")
     for name, values in steps.items():
         median, low, high = median_interval(values)
         held = sum(reached(run[-1]) for run in runs[name])
@@ -120,8 +121,8 @@ def judge_pendulum(runs: Curves) -> bool:
 def judge_puddles(runs: Curves) -> bool:
     """GPQ costs no more than the best fixed bases and a tenth, and only its rivals diverge."""
     print("== Puddle world: mean discounted return of the last greedy evaluation")
-    returns = {name: np.mean([run[-1].return_mean for run in found]) for name, found in runs.items()}
-    explode = {name: [any(map(diverged, run)) for run in found] for name, found in runs.items()}
+    returns = {name: np.mean([run[-1].return_mean for run in own]) for name, own in runs.items()}
+    explode = {name: [any(map(diverged, run)) for run in own] for name, own in runs.items()}
     for name, value in returns.items():
         print(f"{'':6}{name:18}{value:10.2f}   diverged: {sum(explode[name])}/{len(explode[name])}")
     fixed = [n for n in runs if n.startswith(("linear-q", "gq")) and not any(explode[n])]
