@@ -23,16 +23,16 @@ class Features:
         low: replaces the lower end of the Box, one number for each dimension; (): not.
         high: the upper end.
         grid_columns: columns of the grid whose cells the values of a Discrete space are; 0: none.
-        bounded: refuse a Box with an infinite end, which is else not scaled in that dimension.
 
     Attributes:
         dimensions: D.
-        low, high: (D,) ends of the range in units of the observation; infinite where unknown.
+        low, high: (D,) ends of the range in units of the observation.
         points: (n, D) of the values of a Discrete space; (0, D) for a Box.
         offset, range: (D,) of a Box, whose points are (observation - offset) / range.
 
     Raises:
-        ValueError: another kind of space, or the settings do not fit it.
+        ValueError: another kind of space, a Box with an infinite end that neither `low` nor `high`
+            replaces, or the settings do not fit the space.
     """
 
     def __init__(
@@ -41,8 +41,6 @@ class Features:
         low: Sequence[float] = (),
         high: Sequence[float] = (),
         grid_columns: int = 0,
-        *,
-        bounded: bool = False,
     ) -> None:
         if grid_columns < 0:
             raise ValueError(f"grid_columns: {grid_columns}, must not be negative")
@@ -59,7 +57,8 @@ class Features:
             self.points = np.zeros((0, int(np.prod(space.shape))))
             self.low = _ends("low", low, space.low)
             self.high = _ends("high", high, space.high)
-            self._check_box(bounded)
+            self._check_box()
+            self.offset, self.range = self.low, self.high - self.low
         else:
             raise ValueError(f"observation_space: {space}, must be Discrete or Box")
         self.dimensions = self.low.size
@@ -93,17 +92,13 @@ class Features:
             raise ValueError(f"observation: {observation} lies outside {space}")
         return cells
 
-    def _check_box(self, bounded: bool) -> None:
+    def _check_box(self) -> None:
         if (self.low >= self.high).any():
             raise ValueError(f"low: {self.low.tolist()}, must be below high: {self.high.tolist()}")
-        known = np.isfinite(self.low) & np.isfinite(self.high)
-        if bounded and not known.all():
+        if not np.isfinite([self.low, self.high]).all():
             raise ValueError(
                 f"observation_space: {self.space} has infinite bounds; give low and high"
             )
-        with np.errstate(invalid="ignore"):
-            self.offset = np.where(known, self.low, 0.0)
-            self.range = np.where(known, self.high - self.low, 1.0)
 
 
 def _cell_points(n: int, columns: int) -> FloatArray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import abc
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
@@ -44,11 +44,10 @@ class ValueAgent(Agent):
         steps: transitions learned so far.
 
     Raises:
-        ValueError: a space that the agent cannot use, as said above.
+        ValueError: a space that the agent cannot use, as said above, or a Box with infinite ends
+            where the settings give none.
     """
 
-    bounded: ClassVar[bool] = False
-    """Whether every dimension of a Box must have finite ends."""
     preferred_copies = 1
 
     def __init__(
@@ -69,7 +68,6 @@ class ValueAgent(Agent):
             settings.low,
             settings.high,
             settings.grid_columns,
-            bounded=self.bounded,
         )
         self.n_actions = int(action_space.n)
         self._first_action = int(action_space.start)

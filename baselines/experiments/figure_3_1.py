@@ -10,7 +10,11 @@ from typing import Literal
 import numpy as np
 
 from baselines.reproduction import Computation, Lines, Reproduction
-from bnprl_agents.gaussian_process.gp_fitted_q import FittedProcess, fitted_q_iteration
+from bnprl_agents.gaussian_process.fitted_q_iteration import (
+    ActionKernel,
+    FittedProcess,
+    fitted_q_iteration,
+)
 from bnprl_agents.gaussian_process.kernels import RadialKernel
 from bnprl_envs.benchmarks.three_nodes import NODE_POSITIONS, three_nodes
 
@@ -27,9 +31,8 @@ def largest_errors(quick: bool) -> Lines:
     places = np.array(NODE_POSITIONS)[:, None]
     lines = {}
     for regularization in REGULARIZATIONS:
-        process = FittedProcess(
-            RadialKernel((1.0, 1.0)), True, places[nodes], actions, regularization
-        )
+        kernel = ActionKernel(RadialKernel((1.0, 1.0)), joint=True)
+        process = FittedProcess(kernel, places[nodes], actions, regularization)
         fit = fitted_q_iteration(
             process,
             np.zeros(n * n),

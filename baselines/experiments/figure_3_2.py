@@ -48,9 +48,14 @@ PENDULUM = (
         RANGE | {"bases": 10, "rate_exponent": 0.1, "exploration_exponent": 0.3},
     ),
     Entry("gq", "gq", RANGE | {"bases": 10, "rate_exponent": 0.3, "exploration_exponent": 0.3}),
+)
+DEEP_PENDULUM = (
     Entry(
-        "dqn", "dqn", {"n_envs": 1, "learning_starts": 500, "train_freq": 1, "gradient_steps": 1}
+        "dqn",
+        "dqn",
+        {"n_envs": 1, "learning_starts": 500, "train_freq": 1, "gradient_steps": 1},
     ),
+    Entry("ppo", "ppo", {"n_envs": 8, "n_steps": 64, "batch_size": 128, "n_epochs": 10}),
 )
 GPQ_PUDDLES = {"bandwidth": [0.1], "budget": 400, "noise": 1.0}
 PUDDLES = (
@@ -84,6 +89,9 @@ PUDDLES = (
         "gq",
         {"bases": 20, "bandwidth": [0.1], "rate_exponent": 0.1, "exploration_exponent": 0.1},
     ),
+)
+DEEP_PUDDLES = (
+    Entry("dqn", "dqn", {"exploration_fraction": 0.5}),
     Entry("ppo", "ppo", {}),
 )
 
@@ -96,12 +104,12 @@ REPRODUCTION = Reproduction(
             Experiment(
                 EnvironmentSpec("bnprl/Gridworld-v0"),
                 GRIDWORLD,
-                steps=2000,
+                steps=1000,
                 seeds=20,
-                eval_episodes=100,
-                eval_points=40,
+                eval_episodes=20,
+                eval_points=50,
             ),
-            quick={"seeds": 5, "steps": 1000, "eval_points": 20, "eval_episodes": 20},
+            quick={"seeds": 5, "eval_points": 20},
             measure=EXACT,
         ),
         Comparison(
@@ -110,10 +118,10 @@ REPRODUCTION = Reproduction(
             Experiment(
                 EnvironmentSpec("bnprl/InvertedPendulum-v0"),
                 PENDULUM,
-                steps=4000,
+                steps=2000,
                 seeds=20,
                 eval_episodes=100,
-                eval_points=20,
+                eval_points=10,
             ),
             quick={"seeds": 2, "steps": 1000, "eval_points": 5, "eval_episodes": 10},
             measure=LENGTH,
@@ -130,6 +138,34 @@ REPRODUCTION = Reproduction(
                 eval_points=20,
             ),
             quick={"seeds": 1, "steps": 8000, "eval_points": 4, "eval_episodes": 10},
+            measure=RETURN,
+        ),
+        Comparison(
+            "pendulum-deep",
+            "Inverted pendulum, deep RL: 5 times the steps, 3 seeds",
+            Experiment(
+                EnvironmentSpec("bnprl/InvertedPendulum-v0"),
+                DEEP_PENDULUM,
+                steps=20_000,
+                seeds=3,
+                eval_episodes=100,
+                eval_points=20,
+            ),
+            quick={"seeds": 1, "steps": 3000, "eval_points": 3, "eval_episodes": 10},
+            measure=LENGTH,
+        ),
+        Comparison(
+            "puddles-deep",
+            "Puddle world, deep RL: 3 seeds",
+            Experiment(
+                EnvironmentSpec("bnprl/PuddleWorld-v0"),
+                DEEP_PUDDLES,
+                steps=60_000,
+                seeds=3,
+                eval_episodes=100,
+                eval_points=10,
+            ),
+            quick={"seeds": 1, "steps": 4096, "eval_points": 2, "eval_episodes": 10},
             measure=RETURN,
         ),
     ),

@@ -6,10 +6,14 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
 
 from bnprl_agents.agent import Metrics
-from bnprl_agents.episodes import BoolArray, FloatArray, IntArray
+from bnprl_agents.episodes import FloatArray, IntArray
+from bnprl_agents.gaussian_process.fitted_q_iteration import (
+    ActionKernel,
+    FittedProcess,
+    fitted_q_iteration,
+)
 from bnprl_agents.gaussian_process.kernels import (
     RadialKernel,
     broadcast_bandwidth,
@@ -18,11 +22,6 @@ from bnprl_agents.gaussian_process.kernels import (
 )
 from bnprl_agents.policy_files import Arrays
 from bnprl_agents.value_learner import Transitions, ValueAgent, check_exponent, taken
-
-LEAST_NOISE = 1e-6
-"""Of `sufficient_regularization`, as a share of k_max: a single tuple needs none."""
-GROWING_SWEEPS = 5
-"""Sweeps in a row whose changes all grow before the iteration counts as diverging."""
 
 
 @dataclass(frozen=True)
@@ -78,129 +77,6 @@ class GPFittedQConfig:
         check_exponent("exploration_exponent", self.exploration_exponent)
 
 
-def sufficient_regularization(gram: FloatArray) -> float:
-    """Return omega^2 = 2 (||K||_inf - k_max), with which a sweep is a contraction; Theorem 4.
-
-    Args:
-        gram: (N, N) kernel matrix of all tuples.
-    """
-    largest = float(np.diag(gram).max())
-    row_sum = float(np.abs(gram).sum(axis=1).max())
-    return max(2.0 * (row_sum - largest), LEAST_NOISE * largest)
-
-
-class FittedProcess:
-    """An exact Gaussian process over (s, a) on N tuples, for any targets.
-
-    Args:
-        kernel: over [s, a] for joint inputs, else over s.
-        joint: whether there is one process over both, or one for each action.
-        points: (N, D) states.
-        actions: (N,).
-        regularization: omega^2, or "auto".
-    """
-
-    def __init__(
-        self,
-        kernel: RadialKernel,
-        joint: bool,
-        points: FloatArray,
-        actions: IntArray,
-        regularization: float | Literal["auto"],
-    ) -> None:
-        self._kernel, self._joint = kernel, joint
-        self._points, self._actions = points, actions
-        gram = self._cross(points, actions)
-        self.regularization = (
-            sufficient_regularization(gram) if regularization == "auto" else regularization
-        )
-        self._factor = cho_factor(gram + self.regularization * np.eye(len(actions)))
-
-    def weights(self, targets: FloatArray) -> FloatArray:
-        """Return (K + omega^2 I)^-1 y, (N,)."""
-        solved: FloatArray = cho_solve(self._factor, targets)
-        return solved
-
-    def design(self, points: FloatArray, n_actions: int) -> FloatArray:
-        """Return k([s, a], tuples), (n, A, N), so that Q(s, a) is its product with weights."""
-        every = [np.full(len(points), action) for action in range(n_actions)]
-        return np.stack([self._cross(points, action) for action in every], axis=1)
-
-    def _cross(self, points: FloatArray, actions: IntArray) -> FloatArray:
-        if self._joint:
-            left = np.column_stack([points, actions])
-            return self._kernel(left, np.column_stack([self._points, self._actions]))
-        masked: FloatArray = self._kernel(points, self._points) * (
-            actions[:, None] == self._actions[None]
-        )
-        return masked
-
-
-class Fit:
-    """The sweeps of one fit: how the largest value changes, and whether it converges.
-
-    Attributes:
-        targets: (N,) the newest y.
-        changes: largest change of a target in each sweep.
-        largest: largest |Q| over the tuples' next states after each sweep.
-        diverged: whether the changes grew steadily, so that the iteration was stopped.
-    """
-
-    def __init__(self, targets: FloatArray) -> None:
-        self.targets = targets
-        self.changes: list[float] = []
-        self.largest: list[float] = []
-        self.diverged = False
-
-
-def fitted_q_iteration(
-    process: FittedProcess,
-    rewards: FloatArray,
-    next_points: FloatArray,
-    terminated: BoolArray,
-    next_values: FloatArray,
-    *,
-    discount: float,
-    sweeps: int,
-    precision: float,
-    stop_when_diverging: bool = True,
-) -> Fit:
-    """Iterate y = r + gamma max_b Q(s', b), Q fitted to the last y; Algorithm 1.
-
-    Args:
-        process: of the tuples.
-        rewards: (N,).
-        next_points: (N, D).
-        terminated: (N,).
-        next_values: (N, A) Q(s', b) to begin with.
-        discount: gamma.
-        sweeps: largest number of sweeps.
-        precision: stop when no target changes by more.
-        stop_when_diverging: stop after `GROWING_SWEEPS` whose changes grow, else report only.
-    """
-
-    def backup(values: FloatArray) -> FloatArray:
-        return rewards + discount * np.where(terminated, 0.0, values.max(axis=1))
-
-    design = process.design(next_points, next_values.shape[1])
-    fit, growing = Fit(backup(next_values)), 0
-    for _ in range(sweeps):
-        values = design @ process.weights(fit.targets)
-        targets = backup(values)
-        change = float(np.abs(targets - fit.targets).max())
-        growing = growing + 1 if fit.changes and change > fit.changes[-1] else 0
-        if not np.isfinite(targets).all() or growing >= GROWING_SWEEPS:
-            fit.diverged = True
-            if stop_when_diverging or not np.isfinite(targets).all():
-                break
-        fit.targets = targets
-        fit.changes.append(change)
-        fit.largest.append(float(np.abs(values).max()))
-        if change <= precision:
-            break
-    return fit
-
-
 class GPFittedQ(ValueAgent):
     """Fitted Q-iteration with an exact Gaussian process on all tuples seen.
 
@@ -231,7 +107,7 @@ class GPFittedQ(ValueAgent):
         joint = self.config.inputs == "joint"
         dimensions = self.features.dimensions
         bandwidth = broadcast_bandwidth(self.config.bandwidth, dimensions + joint)
-        self.kernel = RadialKernel(bandwidth, self.config.amplitude)
+        self.kernel = ActionKernel(RadialKernel(bandwidth, self.config.amplitude), joint)
         self.tuples = Transitions(
             np.zeros((0, dimensions)),
             np.zeros(0, dtype=np.int64),
@@ -247,15 +123,9 @@ class GPFittedQ(ValueAgent):
         if self._fitted is None:
             return np.full((len(points), self.n_actions), self.config.initial_value)
         basis, actions, weights = self._fitted
-        columns = [points] * self.n_actions
-        if self.config.inputs == "joint":
-            columns = [
-                np.column_stack([points, np.full(len(points), a)]) for a in range(self.n_actions)
-            ]
-            basis = np.column_stack([basis, actions])
-            return np.stack([self.kernel(x, basis) @ weights for x in columns], axis=1)
-        cross = self.kernel(points, basis)
-        return np.stack([cross @ (weights * (actions == a)) for a in range(self.n_actions)], axis=1)
+        design = self.kernel.every_action(points, self.n_actions, basis, actions)
+        values: FloatArray = design @ weights
+        return values
 
     def learn(self, transitions: Transitions) -> Metrics:
         """Keep the transitions, and fit when enough are new."""
@@ -272,13 +142,7 @@ class GPFittedQ(ValueAgent):
     def fit(self) -> Metrics:
         """Fit all tuples; report the sweeps, the regularization used and whether it diverged."""
         points, actions, rewards, next_points, terminated = self.tuples
-        process = FittedProcess(
-            self.kernel,
-            self.config.inputs == "joint",
-            points,
-            actions,
-            self.config.regularization,
-        )
+        process = FittedProcess(self.kernel, points, actions, self.config.regularization)
         fit = fitted_q_iteration(
             process,
             rewards,

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
-from numba import njit
 
 from bnprl_agents.agent import Metrics
-from bnprl_agents.compiled_values import CompiledValueAgent, learn_in_order, register
-from bnprl_agents.episodes import FloatArray, IntArray
+from bnprl_agents.compiled_values import CompiledValueAgent, learn_in_order, values_at
+from bnprl_agents.episodes import FloatArray
+from bnprl_agents.gaussian_process.basis import Basis, empty_basis
 from bnprl_agents.gaussian_process.kernels import (
     RadialKernel,
     broadcast_bandwidth,
@@ -18,15 +18,11 @@ from bnprl_agents.gaussian_process.kernels import (
     check_positive,
 )
 from bnprl_agents.gaussian_process.marginal_likelihood import select_hyperparameters
+from bnprl_agents.gaussian_process.q_processes import Inputs, Prior, Processes
 from bnprl_agents.gaussian_process.sparse_gp import (
     TOLERANCE_FLOOR,
-    Basis,
     check_forgetting,
     check_sparsity,
-    empty_basis,
-    mean,
-    mean_and_variance,
-    update,
 )
 from bnprl_agents.policy_files import Arrays
 from bnprl_agents.value_learner import Transitions, check_exponent, taken
@@ -49,8 +45,11 @@ class GPQConfig:
     bandwidth: tuple[float, ...] = (0.1,)
     """Of the kernel, one for all dimensions or one for each: in shares of a Box's range, or in
     cells of a grid. With joint inputs the action is one more dimension, counted 0, 1, 2, ..."""
+    prior_mean: float = 0.0
+    """Prior mean of the values; 0 is the source's. Where every step costs something, 0 is so
+    hopeful that each action must be tried many times in each place before it looks bad."""
     amplitude: float = 1.0
-    """Prior variance of the values, whose prior mean is 0."""
+    """Prior variance of the values."""
     noise: float = 0.1
     """Variance of the measurements r + gamma max Q; it regularises."""
     tolerance: float = 1e-3
@@ -79,6 +78,8 @@ class GPQConfig:
         if self.inputs not in ("per-action", "joint"):
             raise ValueError(f"inputs: {self.inputs!r}, must be 'per-action' or 'joint'")
         check_exponent("exploration_exponent", self.exploration_exponent)
+        if not np.isfinite(self.prior_mean):
+            raise ValueError(f"prior_mean: {self.prior_mean}, must be finite")
         check_bandwidth(self.bandwidth)
         check_positive("amplitude", self.amplitude)
         check_positive("noise", self.noise)
@@ -93,56 +94,6 @@ class OptimisticGPQConfig(GPQConfig):
     """Settings of `GPQ`, optimistic unless told otherwise."""
 
     exploration: Literal["epsilon", "optimistic"] = "optimistic"
-
-
-class Prior(NamedTuple):
-    """What the processes assume.
-
-    Attributes:
-        bandwidth: (D,) of the kernel.
-        amplitude: prior variance.
-        noise: variance of a measurement.
-        tolerance: novelty that a basis point needs.
-        budget: basis points at most.
-        forgetting: factor of C before each measurement.
-    """
-
-    bandwidth: FloatArray
-    amplitude: float
-    noise: float
-    tolerance: float
-    budget: int
-    forgetting: float
-
-
-class Inputs(NamedTuple):
-    """Where Q(s, a) is found: process `owner[a]` at the point [s, code[a]].
-
-    Attributes:
-        owner: (A,).
-        code: (A, 0) per action, (A, 1) joint.
-    """
-
-    owner: IntArray
-    code: FloatArray
-
-
-class Processes(NamedTuple):
-    """Everything that the compiled functions read and change.
-
-    Attributes:
-        basis: the processes' states, with a leading axis of processes.
-        inputs: where Q(s, a) is found.
-        prior: what the processes assume.
-        optimism: variances that are added to a mean.
-        discount: gamma.
-    """
-
-    basis: Basis
-    inputs: Inputs
-    prior: Prior
-    optimism: float
-    discount: float
 
 
 class GPQ(CompiledValueAgent):
@@ -182,6 +133,7 @@ class GPQ(CompiledValueAgent):
         )
         dimensions = self.features.dimensions + self.inputs.code.shape[1]
         self.prior = Prior(
+            self.config.prior_mean,
             np.array(broadcast_bandwidth(self.config.bandwidth, dimensions)),
             self.config.amplitude,
             self.config.noise,
@@ -199,12 +151,13 @@ class GPQ(CompiledValueAgent):
 
     def values(self, points: FloatArray) -> FloatArray:
         """Return the posterior means (n, A) at points (n, D); (3.6)."""
-        values: FloatArray = q_values(self._processes(0.0), points)
+        values: FloatArray = values_at(self._processes(0.0), points, self.n_actions)
         return values
 
     def variances(self, points: FloatArray) -> FloatArray:
         """Return the posterior variances (n, A), without the noise, at points (n, D); (3.7)."""
-        variances: FloatArray = q_values(self._processes(1.0), points) - self.values(points)
+        with_variance = values_at(self._processes(1.0), points, self.n_actions)
+        variances: FloatArray = with_variance - self.values(points)
         return variances
 
     @property
@@ -258,7 +211,7 @@ class GPQ(CompiledValueAgent):
             RadialKernel(tuple(self.prior.bandwidth), self.prior.amplitude),
             self.prior.noise,
             np.concatenate([kept.points, self.inputs.code[kept.actions]], axis=1),
-            targets,
+            targets - self.prior.mean,
             groups=self.inputs.owner[kept.actions],
         )
         self.prior = self.prior._replace(
@@ -303,80 +256,3 @@ class GPQ(CompiledValueAgent):
     def _empty(self) -> Basis:
         processes = int(self.inputs.owner.max()) + 1
         return empty_basis(self.prior.budget + 1, self.prior.bandwidth.size, processes)
-
-
-@njit(cache=True)
-def process(basis, a):  # type: ignore[no-untyped-def]
-    """Return the state of one process: views of the arrays of all."""
-    return Basis(
-        basis.points[a],
-        basis.weights[a],
-        basis.covariance[a],
-        basis.precision[a],
-        basis.kernel[a],
-        basis.size[a],
-    )
-
-
-@njit(cache=True)
-def joined(point, code, bandwidth):  # type: ignore[no-untyped-def]
-    """Return [s, code] in units of the bandwidths."""
-    d = point.size
-    z = np.empty(bandwidth.size)
-    z[:d], z[d:] = point / bandwidth[:d], code / bandwidth[d:]
-    return z
-
-
-@njit(cache=True)
-def q_value(processes, point, action):  # type: ignore[no-untyped-def]
-    """Return m(s, a) + optimism var(s, a)."""
-    basis, inputs, prior, optimism, _ = processes
-    z = joined(point, inputs.code[action], prior.bandwidth)
-    state = process(basis, inputs.owner[action])
-    if optimism == 0.0:
-        return mean(state, z, prior.amplitude)
-    m, v = mean_and_variance(state, z, prior.amplitude)
-    return m + optimism * v
-
-
-@njit(cache=True)
-def action_values(processes, point):  # type: ignore[no-untyped-def]
-    """Return m(s, a) + optimism var(s, a) of every action, (A,)."""
-    values = np.empty(processes.inputs.owner.size)
-    for a in range(values.size):
-        values[a] = q_value(processes, point, a)
-    return values
-
-
-@njit(cache=True)
-def q_values(processes, points):  # type: ignore[no-untyped-def]
-    """Return the same (n, A) at points (n, D)."""
-    values = np.empty((points.shape[0], processes.inputs.owner.size))
-    for i in range(points.shape[0]):
-        values[i] = action_values(processes, points[i])
-    return values
-
-
-@njit(cache=True)
-def learn_measurement(processes, x, a, r, x_t, terminated, t):  # type: ignore[no-untyped-def]
-    """Measure y = r + gamma max_b [m(s', b) + optimism var(s', b)] of Q(s, a); (3.5)."""
-    basis, inputs, prior, _, discount = processes
-    y = r
-    if not terminated:
-        y += discount * action_values(processes, x_t).max()
-    z = joined(x, inputs.code[a], prior.bandwidth)
-    state = process(basis, inputs.owner[a])
-    error = update(
-        state,
-        z,
-        y,
-        prior.amplitude,
-        prior.noise,
-        prior.tolerance,
-        prior.budget,
-        prior.forgetting,
-    )
-    return abs(error)
-
-
-register(Processes, action_values, learn_measurement)

@@ -1,60 +1,23 @@
 """Sparse online Gaussian process (Csato and Opper 2002): one point at a time, within a budget.
 
-The posterior of the prior N(0, k) is kept as mean k(x)' alpha and covariance
-k(x, z) + k(x)' C k(z), k(x) being the kernel between x and m basis points. P = K^-1 tells how new
-a point is.
+Its state and predictions are in `basis`, its step in `online_update`.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
-from bnprl_agents.episodes import FloatArray, IntArray
-from bnprl_agents.gaussian_process.kernels import RadialKernel, check_positive, radial
+from bnprl_agents.episodes import FloatArray
+from bnprl_agents.gaussian_process.basis import Basis, empty_basis, predict
+from bnprl_agents.gaussian_process.kernels import RadialKernel, check_positive
+from bnprl_agents.gaussian_process.online_update import update
 
 TOLERANCE_FLOOR = 1e-8
 """Least novelty of a basis point, as a share of the prior variance. Below, K is singular to
 rounding: with a tolerance of 1e-12 the recursion for P loses every digit."""
 UNLIMITED_FLOOR = 1e-9
 """The same without a budget, where nothing is removed and exactness is wanted."""
-DRIFT = 1e-8
-"""Largest residual of K P k = k, as a share of the prior variance, before P is computed anew."""
-
-
-class Basis(NamedTuple):
-    """The state of a process, in arrays whose size is the capacity M >= m.
-
-    Attributes:
-        points: (M, D) basis points, in units of the bandwidths.
-        weights: (M,) alpha.
-        covariance: (M, M) C.
-        precision: (M, M) P, the inverse of K.
-        kernel: (M, M) K, the kernel matrix of the basis points.
-        size: (1,) m.
-    """
-
-    points: FloatArray
-    weights: FloatArray
-    covariance: FloatArray
-    precision: FloatArray
-    kernel: FloatArray
-    size: IntArray
-
-
-def empty_basis(capacity: int, dimensions: int, *leading: int) -> Basis:
-    """Return a basis without points, or an array of such along leading axes."""
-    return Basis(
-        points=np.zeros((*leading, capacity, dimensions)),
-        weights=np.zeros((*leading, capacity)),
-        covariance=np.zeros((*leading, capacity, capacity)),
-        precision=np.zeros((*leading, capacity, capacity)),
-        kernel=np.zeros((*leading, capacity, capacity)),
-        size=np.zeros((*leading, 1), dtype=np.int64),
-    )
 
 
 class SparseGP:
@@ -106,7 +69,7 @@ class SparseGP:
             float(tolerance), UNLIMITED_FLOOR if budget is None else TOLERANCE_FLOOR
         )
         capacity = 64 if budget is None else budget + 1
-        self.basis = empty_basis(capacity, len(kernel.bandwidth))
+        self.basis: Basis = empty_basis(capacity, len(kernel.bandwidth))
 
     def __len__(self) -> int:
         return int(self.basis.size[0])
@@ -209,214 +172,3 @@ def check_forgetting(forgetting: float) -> None:
     """
     if not 0.0 < forgetting <= 1.0:
         raise ValueError(f"forgetting: {forgetting}, must lie in (0, 1]")
-
-
-@njit(cache=True)
-def covariances(basis, x, amplitude):  # type: ignore[no-untyped-def]
-    """Return the kernel (m,) between a point and the basis."""
-    k = np.empty(basis.size[0])
-    for i in range(k.size):
-        k[i] = radial(x, basis.points[i], amplitude)
-    return k
-
-
-@njit(cache=True)
-def mean(basis, x, amplitude):  # type: ignore[no-untyped-def]
-    """Return the posterior mean k' alpha at a point; (3.6)."""
-    total = 0.0
-    for i in range(basis.size[0]):
-        total += basis.weights[i] * radial(x, basis.points[i], amplitude)
-    return total
-
-
-@njit(cache=True)
-def variance(basis, k, ck, amplitude):  # type: ignore[no-untyped-def]
-    """Return the posterior variance k(x, x) + k' C k, at least 0; (3.7)."""
-    return max(amplitude + _dot(k, ck), 0.0)
-
-
-@njit(cache=True)
-def mean_and_variance(basis, x, amplitude):  # type: ignore[no-untyped-def]
-    """Return both at a point."""
-    k = covariances(basis, x, amplitude)
-    return _dot(k, basis.weights), variance(basis, k, _times(basis.covariance, k), amplitude)
-
-
-@njit(cache=True)
-def predict(basis, points, amplitude):  # type: ignore[no-untyped-def]
-    """Return mean (n,) and variance (n,) at points (n, D)."""
-    means, variances = np.empty(points.shape[0]), np.empty(points.shape[0])
-    for i in range(points.shape[0]):
-        means[i], variances[i] = mean_and_variance(basis, points[i], amplitude)
-    return means, variances
-
-
-@njit(cache=True)
-def update(basis, x, y, amplitude, noise, tolerance, budget, forgetting):  # type: ignore[no-untyped-def]
-    """Learn one measurement y at x in place; return its error y - m(x) before.
-
-    Needs capacity for one more basis point.
-    """
-    if forgetting < 1.0:
-        m = basis.size[0]
-        basis.covariance[:m, :m] *= forgetting
-    k = covariances(basis, x, amplitude)
-    ck, projection = _times(basis.covariance, k), _times(basis.precision, k)
-    spread = variance(basis, k, ck, amplitude)
-    novelty = amplitude - _dot(k, projection)  # beta, (3.8)
-    error = y - _dot(k, basis.weights)
-    q = error / (noise + spread)
-    r = -1.0 / (noise + spread)
-    if novelty > tolerance * amplitude:
-        projection = _refined(basis, k, projection)
-        novelty = amplitude - _dot(k, projection)
-    if _is_new(basis, projection, novelty, tolerance * amplitude):
-        _extend(basis, x, ck, q, r)
-        _extend_precision(basis, k, projection, novelty, amplitude)
-        if basis.size[0] > budget:
-            remove(basis, _least_valuable(basis))
-    else:
-        eta = 1.0 / (1.0 + min(max(novelty, 0.0), spread) * r)
-        s = ck + projection
-        for i in range(s.size):
-            basis.weights[i] += q * eta * s[i]
-        _add_outer(basis.covariance, s, r * eta)
-    return error
-
-
-@njit(cache=True)
-def _refined(basis, k, projection):  # type: ignore[no-untyped-def]
-    """Return e = K^-1 k after a step of iterative refinement; P is renewed if it has drifted."""
-    residual = k - _times(basis.kernel, projection)
-    if k.size and np.abs(residual).max() > DRIFT * basis.kernel[0, 0]:
-        refresh(basis)
-        projection = _times(basis.precision, k)
-        residual = k - _times(basis.kernel, projection)
-    return projection + _times(basis.precision, residual)
-
-
-@njit(cache=True)
-def _is_new(basis, projection, novelty, tolerance):  # type: ignore[no-untyped-def]
-    """Whether a point is new, and every basis point, whose novelty is 1 / P_ii, stays so."""
-    if novelty <= tolerance:
-        return False
-    for i in range(projection.size):
-        if basis.precision[i, i] + projection[i] ** 2 / novelty >= 1.0 / tolerance:
-            return False
-    return True
-
-
-@njit(cache=True)
-def _extend(basis, x, ck, q, r):  # type: ignore[no-untyped-def]
-    """Add a basis point: s = [Ck, 1], alpha = [alpha, 0] + q s, C = pad(C) + r s s'."""
-    m = ck.size
-    s = np.empty(m + 1)
-    s[:m], s[m] = ck, 1.0
-    basis.points[m] = x
-    basis.weights[m] = 0.0
-    basis.covariance[m, : m + 1], basis.covariance[: m + 1, m] = 0.0, 0.0
-    for i in range(m + 1):
-        basis.weights[i] += q * s[i]
-    _add_outer(basis.covariance, s, r)
-    basis.size[0] = m + 1
-
-
-@njit(cache=True)
-def _extend_precision(basis, k, projection, novelty, amplitude):  # type: ignore[no-untyped-def]
-    """P = pad(P) + [e, -1] [e, -1]' / beta, e = P k; K gets its row and column."""
-    m = projection.size
-    e = np.empty(m + 1)
-    e[:m], e[m] = projection, -1.0
-    basis.precision[m, : m + 1], basis.precision[: m + 1, m] = 0.0, 0.0
-    _add_outer(basis.precision, e, 1.0 / novelty)
-    basis.kernel[m, :m], basis.kernel[:m, m], basis.kernel[m, m] = k, k, amplitude
-
-
-@njit(cache=True)
-def _least_valuable(basis):  # type: ignore[no-untyped-def]
-    """Return the basis point with the smallest |alpha_i| / P_ii."""
-    best, least = 0, np.inf
-    for i in range(basis.size[0]):
-        score = abs(basis.weights[i]) / basis.precision[i, i]
-        if score < least:
-            best, least = i, score
-    return best
-
-
-@njit(cache=True)
-def remove(basis, i):  # type: ignore[no-untyped-def]
-    """Remove basis point i by the best projection onto the others; the last one takes its place.
-
-    alpha -= alpha_i P_i / p; C += c_i P_i P_i' / p^2 - (P_i C_i' + C_i P_i') / p;
-    P -= P_i P_i' / p; p = P_ii.
-    """
-    m = basis.size[0]
-    alpha, c, p = basis.weights, basis.covariance, basis.precision
-    p_i, c_i = p[:m, i] / p[i, i], c[:m, i].copy()
-    alpha_i, c_ii, p_ii = alpha[i], c[i, i], p[i, i]
-    for j in range(m):
-        alpha[j] -= alpha_i * p_i[j]
-        for n in range(j + 1):
-            c[j, n] += c_ii * p_i[j] * p_i[n] - (p_i[j] * c_i[n] + c_i[j] * p_i[n])
-            p[j, n] -= p_ii * p_i[j] * p_i[n]
-            c[n, j], p[n, j] = c[j, n], p[j, n]
-    last = m - 1
-    basis.points[i], alpha[i] = basis.points[last], alpha[last]
-    for matrix in (basis.kernel, c, p):
-        matrix[i, :m] = matrix[last, :m]
-        matrix[:m, i] = matrix[:m, last]
-        matrix[i, i] = matrix[last, last]
-    basis.size[0] = last
-
-
-@njit(cache=True)
-def refresh(basis):  # type: ignore[no-untyped-def]
-    """Compute P anew as L^-T L^-1 from the Cholesky factor L of K."""
-    m = basis.size[0]
-    factor, inverse = np.zeros((m, m)), np.zeros((m, m))
-    for i in range(m):
-        for j in range(i + 1):
-            total = basis.kernel[i, j]
-            for n in range(j):
-                total -= factor[i, n] * factor[j, n]
-            factor[i, j] = np.sqrt(total) if i == j else total / factor[j, j]
-        inverse[i, i] = 1.0 / factor[i, i]
-        for n in range(i):
-            for j in range(n + 1):
-                inverse[i, j] -= factor[i, n] * inverse[n, j] / factor[i, i]
-    product = np.dot(inverse.T, inverse)
-    for i in range(m):
-        for j in range(i + 1):
-            basis.precision[i, j] = basis.precision[j, i] = product[i, j]
-
-
-@njit(cache=True)
-def _times(matrix, vector):  # type: ignore[no-untyped-def]
-    """Return the product of the leading block of a symmetric matrix with a vector (m,)."""
-    m = vector.size
-    product = np.zeros(m)
-    for i in range(m):
-        total = 0.0
-        for j in range(m):
-            total += matrix[i, j] * vector[j]
-        product[i] = total
-    return product
-
-
-@njit(cache=True)
-def _dot(vector, padded):  # type: ignore[no-untyped-def]
-    """Return the inner product of a vector (m,) with the beginning of another."""
-    total = 0.0
-    for i in range(vector.size):
-        total += vector[i] * padded[i]
-    return total
-
-
-@njit(cache=True)
-def _add_outer(matrix, s, factor):  # type: ignore[no-untyped-def]
-    """Add factor s s' to the leading block of a symmetric matrix, which stays symmetric."""
-    for i in range(s.size):
-        row = factor * s[i]
-        for j in range(i + 1):
-            matrix[i, j] += row * s[j]
-            matrix[j, i] = matrix[i, j]

@@ -114,7 +114,6 @@ class LinearQ(CompiledValueAgent):
 
     Config: ClassVar[type[Any]] = LinearQConfig
     config: LinearQConfig
-    bounded = True
 
     def __init__(
         self,

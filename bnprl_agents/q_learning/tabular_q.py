@@ -78,7 +78,6 @@ class TabularQ(CompiledValueAgent):
 
     Config = TabularQConfig
     config: TabularQConfig
-    bounded = True
 
     def __init__(
         self,

@@ -5,13 +5,13 @@ import numpy as np
 import pytest
 
 from baselines.experiments.figure_3_1 import largest_errors
-from bnprl_agents.gaussian_process.gp_fitted_q import (
+from bnprl_agents.gaussian_process.fitted_q_iteration import (
+    ActionKernel,
     FittedProcess,
-    GPFittedQ,
-    GPFittedQConfig,
     fitted_q_iteration,
     sufficient_regularization,
 )
+from bnprl_agents.gaussian_process.gp_fitted_q import GPFittedQ, GPFittedQConfig
 from bnprl_agents.gaussian_process.kernels import RadialKernel
 from bnprl_agents.training import train
 from bnprl_envs import model
@@ -44,7 +44,8 @@ def test_auto_is_a_contraction_whatever_the_data():
     for _ in range(5):
         n = 40
         points, actions = rng.random((n, 2)), rng.integers(3, size=n)
-        process = FittedProcess(RadialKernel((0.5, 0.5)), False, points, actions, "auto")
+        kernel = ActionKernel(RadialKernel((0.5, 0.5)), joint=False)
+        process = FittedProcess(kernel, points, actions, "auto")
         fit = fitted_q_iteration(
             process,
             rng.normal(size=n),

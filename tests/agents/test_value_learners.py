@@ -175,19 +175,13 @@ def test_bad_values_are_refused_before_anything_is_learned(case):
     assert agent.update() == {}
 
 
-@pytest.mark.parametrize("case", ["tabular", "linear", "gq"])
-def test_infinite_bounds_are_refused_where_the_range_is_divided(case):
+@every
+def test_infinite_bounds_are_refused(case):
     space = gym.spaces.Box(-np.inf, np.inf, (2,), np.float64)
     with pytest.raises(ValueError, match="infinite bounds; give low and high"):
         build(case, observation_space=space)
     agent = build(case, observation_space=space, low=(0.0, 0.0), high=(1.0, 1.0))
     assert agent.action_values([5.0, 5.0]).shape == (1, 3)
-
-
-@pytest.mark.parametrize("case", ["gpq", "fitted"])
-def test_processes_do_not_need_bounds(case):
-    space = gym.spaces.Box(-np.inf, np.inf, (2,), np.float64)
-    assert run(build(case, observation_space=space), walks(1), 5)
 
 
 @pytest.mark.parametrize(
@@ -201,6 +195,7 @@ def test_processes_do_not_need_bounds(case):
         (GPQConfig, {"exploration": "greedy"}),
         (GPQConfig, {"exploration_exponent": -0.1}),
         (GPQConfig, {"select_after": -1}),
+        (GPQConfig, {"prior_mean": np.nan}),
         (LinearQConfig, {"bases": 0}),
         (LinearQConfig, {"initial_rate": 0.0}),
         (GQConfig, {"correction_rate": 0.0}),
@@ -234,6 +229,24 @@ def test_gpq_is_a_process_for_each_action():
         np.testing.assert_allclose(agent.values(at)[:, action], mean, atol=1e-10)
         np.testing.assert_allclose(agent.variances(at)[:, action], variance, atol=1e-10)
         assert len(agent.basis_points()[action]) == len(process) <= 10
+
+
+@pytest.mark.parametrize("case", ["gpq", "joint"])
+def test_a_prior_mean_shifts_the_values(case):
+    """As if every reward were larger by (1 - gamma) times the mean's negative, and an end by it."""
+    rng = np.random.default_rng(0)
+    agents = [build(case), build(case, prior_mean=-5.0)]
+    for _ in range(60):
+        here, there, ended = rng.random(2), rng.random(2), rng.random() < 0.2
+        action, reward = int(rng.integers(1, 4)), rng.normal()
+        for agent, shift in zip(agents, (5.0, 0.0), strict=True):
+            agent.reset(here)
+            earned = reward + shift * (1.0 if ended else 1.0 - 0.9)
+            agent.observe(action, earned, there, ended, False)
+            agent.update()
+    at = rng.random((10, 2))
+    np.testing.assert_allclose(agents[1].values(at), agents[0].values(at) - 5.0)
+    np.testing.assert_allclose(agents[1].variances(at), agents[0].variances(at))
 
 
 def test_the_optimist_adds_two_variances():
@@ -313,8 +326,8 @@ def test_divergence_stops_learning_with_finite_weights():
 
 def test_features():
     assert Features(SQUARE)([0.25, 1.0]).tolist() == [[0.25, 1.0]]
-    box = gym.spaces.Box(np.array([-1.0, -np.inf]), np.array([3.0, np.inf]), dtype=np.float64)
-    assert Features(box)([0.0, 7.0]).tolist() == [[0.25, 7.0]]
+    box = gym.spaces.Box(np.array([-1.0, 0.0]), np.array([3.0, 7.0]), dtype=np.float64)
+    assert Features(box)([0.0, 14.0]).tolist() == [[0.25, 2.0]]
     cells = Features(gym.spaces.Discrete(6, start=1), grid_columns=3)
     assert cells(np.array([1, 5])).tolist() == [[0.0, 0.0], [1.0, 1.0]]
     assert Features(gym.spaces.Discrete(3))(2).tolist() == [[0.0, 0.0, 1.0]]
