@@ -43,7 +43,7 @@ class BeliefAgent(Agent):
         self.n_actions = self.spaces.action_sizes[0]
         self.n_observations = self.spaces.observation_sizes[0]
         self._recorder = EpisodeRecorder(1)
-        self._belief = np.zeros((0, self.config.states))
+        self._belief = np.zeros((0, self.n_features))
         self._seen = np.zeros((0, 1), dtype=np.int64)
         self._alive = np.zeros(0, dtype=np.bool_)
 
@@ -71,7 +71,7 @@ class BeliefAgent(Agent):
         if len(seen) != len(self._alive):
             if not begun.all():
                 raise ValueError(f"{len(seen)} copies, was {len(self._alive)}: reset all of them")
-            self._belief = np.zeros((len(seen), self.config.states))
+            self._belief = np.zeros((len(seen), self.n_features))
             self._seen, self._alive = seen.copy(), begun.copy()
         self._recorder.begin(begun)
         self._seen[begun] = seen[begun]
@@ -81,7 +81,7 @@ class BeliefAgent(Agent):
     def act(self, observation: Any) -> Any:
         """Sample actions from the policy; see `Agent.act`."""
         self._require_alive()
-        p = self.policy.action_probabilities(self._belief)
+        p = self.policy.action_probabilities(self._belief, self._seen[:, 0])
         return self.spaces.external_actions(_sample(p, self.rng)[:, None], observation)
 
     def observe(
@@ -92,7 +92,7 @@ class BeliefAgent(Agent):
         actions, seen = self.spaces.actions(action), self.spaces.observations(observation)
         ended = self.spaces.flag("terminated", terminated)
         cut = self.spaces.flag("truncated", truncated)
-        p = self.policy.action_probabilities(self._belief)
+        p = self.policy.action_probabilities(self._belief, self._seen[:, 0])
         behaviour = np.take_along_axis(p, actions, axis=1)
         self._recorder.add(
             self._seen, actions, self.spaces.reward(reward), behaviour, seen, ended, cut
@@ -121,7 +121,7 @@ class BeliefAgent(Agent):
         """Act on the belief; see `Agent.predict`."""
         seen = self.spaces.observations(observation)[:, 0]
         belief = self._predicted_belief(seen, state, episode_start)
-        p = self.policy.action_probabilities(belief)
+        p = self.policy.action_probabilities(belief, seen)
         chosen = (p.argmax(axis=1) if deterministic else _sample(p, self.predict_rng))[:, None]
         return self.spaces.external_actions(chosen, observation), PolicyState(belief, chosen)
 

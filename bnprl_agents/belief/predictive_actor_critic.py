@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from bnprl_agents.agent import Metrics
-from bnprl_agents.belief.filtering import filter_beliefs
-from bnprl_agents.belief.gradient import NO_POLICY, Surrogate, objective_gradient
+from bnprl_agents.belief.filtering import Sequences, run_filter
+from bnprl_agents.belief.gradient import Surrogate, likelihood_gradient, policy_gradient
 from bnprl_agents.belief.learner import BeliefAgent
 from bnprl_agents.belief.policy import random_logits
 from bnprl_agents.episodes import EpisodeBatch, IntArray
@@ -24,7 +24,7 @@ from bnprl_agents.proximal.config import (
     check_not_negative,
     check_positive,
 )
-from bnprl_agents.proximal.critic import Histories, single_cell
+from bnprl_agents.proximal.critic import Cells, Histories, history_cells, single_cell
 
 
 @dataclass(frozen=True)
@@ -33,12 +33,20 @@ class PredictiveActorCriticConfig(ProximalConfig):
 
     states: int = 40
     """Hidden states of the model."""
+    memory: int = 16
+    """Hidden states of the memory."""
+    through: float = 1.0
+    memory_rate: float = 1.0
+    final_entropy: float = .5
     learning_rate: float = 0.03
     """First step size of Adam on the logits."""
     annealing_steps: float = 100_000.0
     """Steps after which step size and entropy weight fall, as 1 over the square root."""
     prediction: float = 1.0
     """Weight of the log-likelihood of observations; 0 leaves the belief to the policy alone."""
+    cells: int = 0
+    average: float = 0.0
+    ridge: float = 1.0
     replay_batches: int = 500
     """Past batches, the latest, from which the prediction goes on learning."""
 
@@ -85,8 +93,10 @@ class PredictiveActorCritic(BeliefAgent):
     ) -> None:
         super().__init__(observation_space, action_space, config, discount=discount, seed=seed)
         n_states = self.config.states
-        logits = random_logits(n_states, self.n_actions, self.n_observations, self.rng)
-        self.actor = Actor.begin(logits, n_cells=1)
+        logits = random_logits(n_states, self.config.memory, self.n_actions, self.n_observations, self.rng)
+        nc = {0: 1, 1: self.n_observations, 2: (self.n_actions + 1) * self.n_observations}[self.config.cells]
+        self.actor = Actor.begin(logits, n_cells=nc, n_features=self.n_features)
+        self.mean_logits = logits
         self.policy = logits.policy()
         self.steps = 0
         self.mean_length = FIRST_LENGTH
@@ -108,6 +118,7 @@ class PredictiveActorCritic(BeliefAgent):
         self.replay = [*self.replay, episodes][-self.config.replay_batches :]
         likelihood = self._climb(episodes, self._judge(episodes))
         self.policy = self.actor.logits.policy()
+        self.shown = self.mean_logits.policy() if self.config.average > 0 else self.policy
         return {
             "return_mean": float(episodes.returns(self.discount).mean()),
             "log_likelihood": likelihood,
@@ -120,42 +131,69 @@ class PredictiveActorCritic(BeliefAgent):
         critic, advantage = judged(
             actor.critic,
             episodes,
-            Histories(*filter_beliefs(episodes, self.policy), single_cell(episodes)),
+            self._histories(episodes),
             on_policy,
             self.config,
             discount=self.discount,
-            ridge=CRITIC_RIDGE,
+            ridge=self.config.ridge,
         )
         standard, scale = standardised(advantage, on_policy, actor.scale)
         self.actor = actor._replace(critic=critic, scale=scale)
-        entropy = self.config.entropy * self.annealing()
+        entropy = self.config.entropy * self.annealing()**(self.config.final_entropy*2)
         return Surrogate(standard, episodes.behaviour[:, 0], self.config.clip, entropy)
+
+    def _histories(self, episodes):
+        sequences = Sequences.of(episodes)
+        model, memory = (run_filter(sequences, f) for f in self.policy[:2])
+        return Histories(np.concatenate([model.before, memory.before], 1), np.concatenate([model.final, memory.final], 1), self._cells(episodes))
+
+    @property
+    def n_features(self):
+        return self.config.states + self.config.memory
+
+    def _cells(self, episodes):
+        if self.config.cells == 0:
+            return single_cell(episodes)
+        if self.config.cells == 1:
+            return Cells(episodes.observations[:, 0], episodes.final_observations[:, 0])
+        return history_cells(episodes, 0, self.n_actions, self.n_observations)
 
     def _climb(self, episodes: EpisodeBatch, surrogate: Surrogate) -> float:
         """Adam on minibatches of new and of old episodes; return the likelihood of the old."""
         logits, moments = self.actor.logits, self.actor.moments
         rate = self.config.learning_rate * self.annealing()
         likelihoods = []
+        sequences = Sequences.of(episodes)
         for chosen in self.config.minibatches(episodes, self.rng):
-            _, slope = objective_gradient(episodes, chosen, logits, surrogate, 0.0)
+            policy = logits.policy()
+            seq, rows = sequences.chosen(chosen)
+            slope = policy_gradient(seq, policy, surrogate.at(rows))
+            if self.config.through != 1.0:
+                slope = like(slope, [g * self.config.through if i < 3 else g for i, g in enumerate(slope)])
             if self.config.prediction > 0.0:
-                likelihood, ascent = objective_gradient(
-                    *self._draw_old(), logits, NO_POLICY, self.config.prediction
-                )
-                slope = like(slope, (p + q for p, q in zip(slope, ascent, strict=True)))
+                likelihood, ascent = likelihood_gradient(self._draw_old(), policy, self.config.prediction)
+                slope = like(slope, (*(p + q for p, q in zip(slope[:3], ascent, strict=True)), *slope[3:]))
                 likelihoods.append(likelihood)
+            old = logits
             logits, moments = moments.ascend(
                 logits, slope, rate, square_memory=SQUARE_MEMORY, tiny=TINY
             )
+            if self.config.memory_rate != 1.0:
+                r = self.config.memory_rate
+                logits = like(logits, (o + r * (n - o) if 3 <= i < 6 else n for i, (o, n) in enumerate(zip(old, logits))))
+            if self.config.average > 0:
+                w = (1 + self.config.average) / (moments.updates + self.config.average)
+                self.mean_logits = like(logits, (a + w * (b - a) for a, b in zip(self.mean_logits, logits)))
         self.actor = self.actor._replace(logits=logits, moments=moments)
         return float(np.mean(likelihoods)) if likelihoods else float("nan")
 
-    def _draw_old(self) -> tuple[EpisodeBatch, IntArray]:
+    def _draw_old(self) -> Sequences:
         """Some episodes, about `minibatch_steps` steps, of a batch drawn from the replay."""
         batch = self.replay[int(self.rng.integers(len(self.replay)))]
         order = self.rng.permutation(batch.n_episodes)
         lengths = np.diff(batch.offsets)[order].cumsum()
-        return batch, order[: 1 + int(np.searchsorted(lengths, self.config.minibatch_steps))]
+        enough = order[: 1 + int(np.searchsorted(lengths, self.config.minibatch_steps))]
+        return Sequences.of(batch).chosen(enough)[0]
 
     def state_arrays(self) -> Arrays:
         """The learner's state, its logits, moments and critic, and the replay."""
