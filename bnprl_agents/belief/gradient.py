@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bnprl_agents.belief.filtering import Sequences, filter_gradient, run_filter
-from bnprl_agents.belief.policy import BeliefPolicy, FilterLogits, Logits
+from bnprl_agents.belief.filtering import Filtered, Sequences, filter_gradient, run_filter
+from bnprl_agents.belief.policy import BeliefPolicy, Filter, FilterLogits, Logits
 from bnprl_agents.episodes import FloatArray, IntArray
 from bnprl_agents.proximal.config import clipped_pull
 
@@ -46,9 +46,14 @@ class Surrogate(NamedTuple):
         return slope
 
 
+def filtered(sequences: Sequences, policy: BeliefPolicy) -> tuple[Filtered, Filtered]:
+    """The ways of a policy's model and memory through the same episodes."""
+    return run_filter(sequences, policy.model), run_filter(sequences, policy.memory)
+
+
 def policy_gradient(sequences: Sequences, policy: BeliefPolicy, surrogate: Surrogate) -> Logits:
     """Gradient of the surrogate, a mean over the steps, by every logit."""
-    model, memory = run_filter(sequences, policy.model), run_filter(sequences, policy.memory)
+    model, memory = filtered(sequences, policy)
     belief = np.concatenate([model.before, memory.before], axis=1)
     p = policy.action_probabilities(belief, sequences.observations)
     slope = surrogate.slope(p, sequences.actions) / len(p)
@@ -65,11 +70,10 @@ def policy_gradient(sequences: Sequences, policy: BeliefPolicy, surrogate: Surro
 
 
 def likelihood_gradient(
-    sequences: Sequences, policy: BeliefPolicy, weight: float
+    sequences: Sequences, model: Filter, weight: float
 ) -> tuple[float, FilterLogits]:
-    """Log-likelihood a step of the model, and `weight` times its gradient by the model's logits."""
-    model = run_filter(sequences, policy.model)
-    steps = len(model.likelihood)
-    nothing = np.zeros_like(model.before)
-    gradient = filter_gradient(sequences, policy.model, model, nothing, weight / steps)
-    return float(np.log(model.likelihood).mean()), gradient
+    """Log-likelihood a step of a model, and `weight` times its gradient by the model's logits."""
+    way = run_filter(sequences, model)
+    steps, nothing = len(way.likelihood), np.zeros_like(way.before)
+    gradient = filter_gradient(sequences, model, way, nothing, weight / steps)
+    return float(np.log(way.likelihood).mean()), gradient

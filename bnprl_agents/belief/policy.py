@@ -125,6 +125,11 @@ class Logits(NamedTuple):
         """Those of the memory."""
         return FilterLogits(*self[3:6])
 
+    def plus(self, model: FilterLogits) -> Logits:
+        """With something added to those of the model."""
+        moved = (p + q for p, q in zip(self.model, model, strict=True))
+        return Logits._make((*moved, *self[3:]))
+
     def policy(self) -> BeliefPolicy:
         """The policy that the logits stand for."""
         return BeliefPolicy(self.model.filter(), self.memory.filter(), self.action, self.sight)

@@ -8,14 +8,18 @@ from typing import Any
 import numpy as np
 
 from bnprl_agents.agent import Metrics
-from bnprl_agents.belief.filtering import Sequences, run_filter
-from bnprl_agents.belief.gradient import Surrogate, likelihood_gradient, policy_gradient
+from bnprl_agents.belief.filtering import Sequences
+from bnprl_agents.belief.gradient import (
+    Surrogate,
+    filtered,
+    likelihood_gradient,
+    policy_gradient,
+)
 from bnprl_agents.belief.learner import BeliefAgent
 from bnprl_agents.belief.policy import random_logits
-from bnprl_agents.episodes import EpisodeBatch, IntArray
+from bnprl_agents.episodes import EpisodeBatch
 from bnprl_agents.policy_files import Arrays
 from bnprl_agents.proximal.actor import Actor
-from bnprl_agents.proximal.adam import like
 from bnprl_agents.proximal.advantages import judged, standardised
 from bnprl_agents.proximal.config import (
     FIRST_LENGTH,
@@ -24,7 +28,7 @@ from bnprl_agents.proximal.config import (
     check_not_negative,
     check_positive,
 )
-from bnprl_agents.proximal.critic import Cells, Histories, history_cells, single_cell
+from bnprl_agents.proximal.critic import Cells, Histories
 
 
 @dataclass(frozen=True)
@@ -32,27 +36,23 @@ class PredictiveActorCriticConfig(ProximalConfig):
     """Settings of `PredictiveActorCritic`, the same for every environment."""
 
     states: int = 40
-    """Hidden states of the model."""
-    memory: int = 16
-    """Hidden states of the memory."""
-    through: float = 1.0
-    memory_rate: float = 1.0
-    final_entropy: float = .5
+    """Hidden states of the model, which learns to predict."""
+    memory: int = 12
+    """Hidden states of the memory, which learns from rewards alone."""
     learning_rate: float = 0.03
     """First step size of Adam on the logits."""
+    entropy: float = 0.05
+    """First weight of the policy's entropy, in standard deviations of the advantage."""
     annealing_steps: float = 100_000.0
-    """Steps after which step size and entropy weight fall, as 1 over the square root."""
+    """Steps after which the entropy weight falls as 1 / steps, the step size as its root."""
     prediction: float = 1.0
-    """Weight of the log-likelihood of observations; 0 leaves the belief to the policy alone."""
-    cells: int = 0
-    average: float = 0.0
-    ridge: float = 1.0
+    """Weight of the model's log-likelihood; 0 leaves the model to rewards, too."""
     replay_batches: int = 500
     """Past batches, the latest, from which the prediction goes on learning."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_counts(self, "states", "replay_batches")
+        check_counts(self, "states", "memory", "replay_batches")
         check_positive(self, "learning_rate", "annealing_steps")
         check_not_negative(self, "prediction")
 
@@ -64,16 +64,14 @@ SQUARE_MEMORY, TINY = 0.995, 1e-7
 
 
 class PredictiveActorCritic(BeliefAgent):
-    """Proximal policy optimisation on the belief of a hidden Markov model learned on the way.
+    """Proximal policy optimisation on the beliefs of two filters learned on the way.
 
-    Every observation is a training signal: the model's likelihood, on new episodes and on old
-    ones alike, shapes the belief, and the policy's gradient passes through the same filter. The
-    advantages come from a critic that is linear in the belief.
-
-    Tried on Hallway and worse: the same model fitted by EM alone (from random starts, by splitting
-    states, stochastically), because it stops .06 nats a step short of the truth: point-based
-    planning on it reaches .21, an actor-critic on its fixed belief .43 after 600,000 steps; on the
-    true model these reach .52 and .51. Without `prediction` the filter learns from rewards alone.
+    The first is a hidden Markov model: every observation is a training signal, and its likelihood,
+    on new episodes and on old ones alike, shapes the belief beside the policy's gradient. The
+    second, a memory of the same form, is shaped by the policy's gradient alone and keeps what helps
+    to act but not to predict. The policy is log-linear in both beliefs and the last observation;
+    the advantages come from a critic that is linear in the beliefs, with weights of its own for
+    every last observation.
 
     Paper: Schulman et al., Proximal policy optimization algorithms, 2017, for the objective;
     Baum et al., 1970, for the likelihood's gradient.
@@ -92,11 +90,9 @@ class PredictiveActorCritic(BeliefAgent):
         seed: int,
     ) -> None:
         super().__init__(observation_space, action_space, config, discount=discount, seed=seed)
-        n_states = self.config.states
-        logits = random_logits(n_states, self.config.memory, self.n_actions, self.n_observations, self.rng)
-        nc = {0: 1, 1: self.n_observations, 2: (self.n_actions + 1) * self.n_observations}[self.config.cells]
-        self.actor = Actor.begin(logits, n_cells=nc, n_features=self.n_features)
-        self.mean_logits = logits
+        sizes = self.config.states, self.config.memory
+        logits = random_logits(*sizes, self.n_actions, self.n_observations, self.rng)
+        self.actor = Actor.begin(logits, self.n_observations, sum(sizes))
         self.policy = logits.policy()
         self.steps = 0
         self.mean_length = FIRST_LENGTH
@@ -108,8 +104,8 @@ class PredictiveActorCritic(BeliefAgent):
         return self.config.batch_episodes(self.mean_length)
 
     def annealing(self) -> float:
-        """Factor of step size and entropy weight: min(1, annealing_steps / steps)^1/2."""
-        return float(min(1.0, self.config.annealing_steps / self.steps) ** 0.5)
+        """Factor of the entropy weight and of the squared step size."""
+        return min(1.0, self.config.annealing_steps / self.steps)
 
     def learn(self, episodes: EpisodeBatch) -> Metrics:
         """Fit the critic, then climb likelihood and clipped objective."""
@@ -118,7 +114,6 @@ class PredictiveActorCritic(BeliefAgent):
         self.replay = [*self.replay, episodes][-self.config.replay_batches :]
         likelihood = self._climb(episodes, self._judge(episodes))
         self.policy = self.actor.logits.policy()
-        self.shown = self.mean_logits.policy() if self.config.average > 0 else self.policy
         return {
             "return_mean": float(episodes.returns(self.discount).mean()),
             "log_likelihood": likelihood,
@@ -135,55 +130,40 @@ class PredictiveActorCritic(BeliefAgent):
             on_policy,
             self.config,
             discount=self.discount,
-            ridge=self.config.ridge,
+            ridge=CRITIC_RIDGE,
         )
         standard, scale = standardised(advantage, on_policy, actor.scale)
         self.actor = actor._replace(critic=critic, scale=scale)
-        entropy = self.config.entropy * self.annealing()**(self.config.final_entropy*2)
+        entropy = self.config.entropy * self.annealing()
         return Surrogate(standard, episodes.behaviour[:, 0], self.config.clip, entropy)
 
-    def _histories(self, episodes):
-        sequences = Sequences.of(episodes)
-        model, memory = (run_filter(sequences, f) for f in self.policy[:2])
-        return Histories(np.concatenate([model.before, memory.before], 1), np.concatenate([model.final, memory.final], 1), self._cells(episodes))
-
-    @property
-    def n_features(self):
-        return self.config.states + self.config.memory
-
-    def _cells(self, episodes):
-        if self.config.cells == 0:
-            return single_cell(episodes)
-        if self.config.cells == 1:
-            return Cells(episodes.observations[:, 0], episodes.final_observations[:, 0])
-        return history_cells(episodes, 0, self.n_actions, self.n_observations)
+    def _histories(self, episodes: EpisodeBatch) -> Histories:
+        """Both beliefs along the episodes; the last observation is the critic's cell."""
+        model, memory = filtered(Sequences.of(episodes), self.policy)
+        return Histories(
+            np.concatenate([model.before, memory.before], axis=1),
+            np.concatenate([model.final, memory.final], axis=1),
+            Cells(episodes.observations[:, 0], episodes.final_observations[:, 0]),
+        )
 
     def _climb(self, episodes: EpisodeBatch, surrogate: Surrogate) -> float:
         """Adam on minibatches of new and of old episodes; return the likelihood of the old."""
         logits, moments = self.actor.logits, self.actor.moments
-        rate = self.config.learning_rate * self.annealing()
-        likelihoods = []
-        sequences = Sequences.of(episodes)
+        rate = self.config.learning_rate * self.annealing() ** 0.5
+        sequences, likelihoods = Sequences.of(episodes), []
         for chosen in self.config.minibatches(episodes, self.rng):
             policy = logits.policy()
-            seq, rows = sequences.chosen(chosen)
-            slope = policy_gradient(seq, policy, surrogate.at(rows))
-            if self.config.through != 1.0:
-                slope = like(slope, [g * self.config.through if i < 3 else g for i, g in enumerate(slope)])
+            some, rows = sequences.chosen(chosen)
+            slope = policy_gradient(some, policy, surrogate.at(rows))
             if self.config.prediction > 0.0:
-                likelihood, ascent = likelihood_gradient(self._draw_old(), policy, self.config.prediction)
-                slope = like(slope, (*(p + q for p, q in zip(slope[:3], ascent, strict=True)), *slope[3:]))
+                likelihood, ascent = likelihood_gradient(
+                    self._draw_old(), policy.model, self.config.prediction
+                )
+                slope = slope.plus(ascent)
                 likelihoods.append(likelihood)
-            old = logits
             logits, moments = moments.ascend(
                 logits, slope, rate, square_memory=SQUARE_MEMORY, tiny=TINY
             )
-            if self.config.memory_rate != 1.0:
-                r = self.config.memory_rate
-                logits = like(logits, (o + r * (n - o) if 3 <= i < 6 else n for i, (o, n) in enumerate(zip(old, logits))))
-            if self.config.average > 0:
-                w = (1 + self.config.average) / (moments.updates + self.config.average)
-                self.mean_logits = like(logits, (a + w * (b - a) for a, b in zip(self.mean_logits, logits)))
         self.actor = self.actor._replace(logits=logits, moments=moments)
         return float(np.mean(likelihoods)) if likelihoods else float("nan")
 
