@@ -51,13 +51,13 @@ GOALS = {
         Goal(450_000, 0.477),
         Goal(1_500_000, 0.50),
     ),
-    "bnprl/CheeseMaze-v0": (Goal(200_000, 0.80),),
-    "bnprl/Grid4x4-v0": (Goal(200_000, 0.82),),
-    "bnprl/NoisyMaze1D-v0": (Goal(200_000, 0.71),),
-    "bnprl/Shuttle-v0": (Goal(200_000, 31.0),),
+    "bnprl/CheeseMaze-v0": (Goal(100_000, 0.80),),
+    "bnprl/Grid4x4-v0": (Goal(100_000, 0.82),),
+    "bnprl/NoisyMaze1D-v0": (Goal(100_000, 0.71),),
+    "bnprl/Shuttle-v0": (Goal(100_000, 31.0),),
     "bnprl/Tag-v0": (Goal(1_000_000, -8.0),),
     "bnprl/Hallway2-v0": (Goal(300_000, 0.206135),),
-    PARCELS: (Goal(200_000, 0.68395),),
+    PARCELS: (Goal(100_000, 0.68395),),
 }
 """Hallway up to 450,000 steps: what a well-set RecurrentPPO reaches. Hallway2 and parcels: the best
 memoryless policy, stochastic ones included, by `bnprl bounds`. Else between that and the best known

@@ -35,7 +35,7 @@ from bnprl_agents.proximal.critic import Cells, Histories
 class PredictiveActorCriticConfig(ProximalConfig):
     """Settings of `PredictiveActorCritic`, the same for every environment."""
 
-    states: int = 40
+    states: int = 60
     """Hidden states of the model, which learns to predict."""
     memory: int = 12
     """Hidden states of the memory, which learns from rewards alone."""
