@@ -71,6 +71,16 @@ def _advance(filter_, belief, action, observation, ahead):  # type: ignore[no-un
     belief[:] = ahead * seen / likelihood
 
 
+@njit(cache=True, nogil=True)
+def _step(sampler, state, action, rng):  # type: ignore[no-untyped-def]
+    """Draw the next state and observation; return them with the reward."""
+    move = draw(sampler.transition, action * sampler.n_states + state, rng.random())
+    state = np.int64(sampler.transition.outcome[move])
+    row = action * sampler.n_states + state
+    seen = np.int64(sampler.observation.outcome[draw(sampler.observation, row, rng.random())])
+    return state, seen, sampler.reward[move, seen % sampler.reward.shape[1]]
+
+
 @njit(cache=True, nogil=True, fastmath={"reassoc", "contract"}, error_model="numpy")
 def _rollout(sampler, policy, episodes, horizon, rng):  # type: ignore[no-untyped-def]
     capacity = episodes * horizon
@@ -91,13 +101,7 @@ def _rollout(sampler, policy, episodes, horizon, rng):  # type: ignore[no-untype
         for t in range(horizon):
             a, p = _choose(belief, policy.action, policy.sight[seen], rng.random())
             observations[step, 0], actions[step, 0], behaviour[step, 0] = seen, a, p
-            move = draw(sampler.transition, a * sampler.n_states + state, rng.random())
-            state = np.int64(sampler.transition.outcome[move])
-            row = a * sampler.n_states + state
-            seen = np.int64(
-                sampler.observation.outcome[draw(sampler.observation, row, rng.random())]
-            )
-            rewards[step] = sampler.reward[move, seen % sampler.reward.shape[1]]
+            state, seen, rewards[step] = _step(sampler, state, a, rng)
             step += 1
             if sampler.terminal[state]:
                 terminated[k] = True
