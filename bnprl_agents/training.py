@@ -11,11 +11,11 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from bnprl_agents.agent import Agent, Metrics
-from bnprl_agents.belief.learner import BeliefAgent
 from bnprl_agents.compiled_values import CompiledValueAgent, Place, act_and_learn
 from bnprl_agents.controllers.learner import ControllerAgent
 from bnprl_agents.controllers.rollout import check_fit
 from bnprl_agents.episodes import EpisodeBatch
+from bnprl_agents.history_agent import HistoryAgent
 from bnprl_agents.search.controller_search import ControllerSearch
 from bnprl_agents.search.simulator import BudgetedSimulator, BudgetSpentError, simulator_of
 from bnprl_envs.model import TabularModel
@@ -90,14 +90,10 @@ def train(
             f"autoreset_mode: {env.metadata.get('autoreset_mode')}, must be AutoresetMode.DISABLED"
         )
     model, horizon = getattr(env, "model", None), getattr(env, "max_episode_steps", None)
-    if (
-        isinstance(agent, ControllerAgent | BeliefAgent)
-        and isinstance(model, TabularModel)
-        and horizon
-    ):
+    if isinstance(agent, HistoryAgent) and isinstance(model, TabularModel) and horizon:
         if isinstance(agent, ControllerAgent):
             check_fit(model, agent.controllers)
-            agent.check_reward(smallest_reward(model))
+        agent.check_reward(smallest_reward(model))
         return _train_compiled(agent, model, horizon, seed, episodes, steps)
     if isinstance(agent, ControllerAgent) and agent.discount == 1.0 and not _has_horizon(env):
         raise ValueError(
@@ -140,7 +136,7 @@ def _train_by_search(
 
 
 def _train_compiled(
-    agent: ControllerAgent | BeliefAgent,
+    agent: HistoryAgent,
     model: TabularModel,
     horizon: int,
     seed: int,

@@ -1,6 +1,7 @@
-"""A policy on the belief of an input-output hidden Markov model, and its unbounded parameters.
+"""A policy on two beliefs, and its unbounded parameters.
 
-Glossary: Z hidden states, A actions, O observations (the null observation included), n copies.
+Glossary: Z hidden states of the model, M of the memory, A actions, O observations (the null
+observation included), n copies.
 """
 
 from __future__ import annotations
@@ -14,65 +15,124 @@ from bnprl_agents.episodes import FloatArray, IntArray
 from bnprl_agents.softmax import softmax
 
 
-class BeliefPolicy(NamedTuple):
-    """A hidden Markov model of what is observed, and a policy that is log-linear in its belief.
+class Filter(NamedTuple):
+    """An input-output hidden Markov model of what is observed, Z hidden states.
 
     The belief f_t(i) = p(z_t = i | o_0, a_0, ..., o_t) follows Bayes' rule,
-    f'(j) ~ sum_i f(i) transition[a, i, j] emission[j, o], and p(a | h) ~ exp(f . action[:, a]).
+    f'(j) ~ sum_i f(i) transition[a, i, j] emission[o, j].
 
     Attributes:
         initial: (O, Z) p(z_0 | o_0).
         transition: (A, Z, Z) p(z' = j, the episode goes on | z = i, a).
         termination: (A, Z) p(the episode ends | z = i, a); with `transition` it sums to 1.
-        emission: (Z, O) p(o' | z' = j).
-        action: (Z, A) each state's share of the actions' logits.
+        emission: (O, Z) p(o' | z' = j).
     """
 
     initial: FloatArray
     transition: FloatArray
     termination: FloatArray
     emission: FloatArray
-    action: FloatArray
-
-    def begin(self, observation: IntArray) -> FloatArray:
-        """Beliefs (n, Z) after the first observations (n,)."""
-        return self.initial[observation]
-
-    def action_probabilities(self, belief: FloatArray) -> FloatArray:
-        """p(a | h) for beliefs (n, Z): (n, A)."""
-        return softmax(belief @ self.action)
 
     def advance(self, belief: FloatArray, action: IntArray, observation: IntArray) -> FloatArray:
         """Beliefs (n, Z) after actions (n,) and the observations (n,) that followed."""
         ahead = np.einsum("ni,nij->nj", belief, self.transition[action])
-        return normalised(ahead * self.emission[:, observation].T)
+        return normalised(ahead * self.emission[observation])
 
 
-class Logits(NamedTuple):
-    """Unbounded parameters of a `BeliefPolicy`.
+class BeliefPolicy(NamedTuple):
+    """A policy that is log-linear in what it believes and last saw.
+
+    p(a | h) ~ exp(f . action[:, a] + sight[o, a]), where f = (belief of the model, belief of the
+    memory) and o is the last observation.
+
+    Attributes:
+        model: predicts observations.
+        memory: a second filter, which keeps what helps to act.
+        action: (Z + M, A) each state's share of the actions' logits.
+        sight: (O, A) the last observation's share.
+    """
+
+    model: Filter
+    memory: Filter
+    action: FloatArray
+    sight: FloatArray
+
+    def begin(self, observation: IntArray) -> FloatArray:
+        """Beliefs (n, Z + M) after the first observations (n,)."""
+        return np.concatenate(
+            [self.model.initial[observation], self.memory.initial[observation]], axis=1
+        )
+
+    def action_probabilities(self, belief: FloatArray, observation: IntArray) -> FloatArray:
+        """p(a | h) for beliefs (n, Z + M) and last observations (n,): (n, A)."""
+        return softmax(belief @ self.action + self.sight[observation])
+
+    def advance(self, belief: FloatArray, action: IntArray, observation: IntArray) -> FloatArray:
+        """Beliefs (n, Z + M) after actions (n,) and the observations (n,) that followed."""
+        states = self.model.initial.shape[1]
+        return np.concatenate(
+            [
+                self.model.advance(belief[:, :states], action, observation),
+                self.memory.advance(belief[:, states:], action, observation),
+            ],
+            axis=1,
+        )
+
+
+class FilterLogits(NamedTuple):
+    """Unbounded parameters of a `Filter`, or a slope by them.
 
     Attributes:
         initial: (O, Z).
         transition: (A, Z, Z + 1); the last column is the episode's end.
         emission: (Z, O).
-        action: (Z, A), the policy's own.
     """
 
     initial: FloatArray
     transition: FloatArray
     emission: FloatArray
-    action: FloatArray
 
-    def policy(self) -> BeliefPolicy:
-        """The policy that the logits stand for."""
+    def filter(self) -> Filter:
+        """The filter that the logits stand for."""
         moves = softmax(self.transition)
-        return BeliefPolicy(
+        return Filter(
             softmax(self.initial),
             np.ascontiguousarray(moves[..., :-1]),
             np.ascontiguousarray(moves[..., -1]),
-            softmax(self.emission),
-            self.action,
+            np.ascontiguousarray(softmax(self.emission).T),
         )
+
+
+class Logits(NamedTuple):
+    """Unbounded parameters of a `BeliefPolicy`: `FilterLogits` of model and memory, its tables."""
+
+    initial: FloatArray
+    transition: FloatArray
+    emission: FloatArray
+    memory_initial: FloatArray
+    memory_transition: FloatArray
+    memory_emission: FloatArray
+    action: FloatArray
+    sight: FloatArray
+
+    @property
+    def model(self) -> FilterLogits:
+        """Those of the model."""
+        return FilterLogits(*self[:3])
+
+    @property
+    def memory(self) -> FilterLogits:
+        """Those of the memory."""
+        return FilterLogits(*self[3:6])
+
+    def plus(self, model: FilterLogits) -> Logits:
+        """With something added to those of the model."""
+        moved = (p + q for p, q in zip(self.model, model, strict=True))
+        return Logits._make((*moved, *self[3:]))
+
+    def policy(self) -> BeliefPolicy:
+        """The policy that the logits stand for."""
+        return BeliefPolicy(self.model.filter(), self.memory.filter(), self.action, self.sight)
 
 
 TERMINATION = -2.0
@@ -82,14 +142,23 @@ UNDECIDED = 0.1
 
 
 def random_logits(
-    n_states: int, n_actions: int, n_observations: int, rng: np.random.Generator
+    n_states: int, n_memory: int, n_actions: int, n_observations: int, rng: np.random.Generator
 ) -> Logits:
     """Draw standard normal logits; those of the actions are small, so that all are tried."""
+    model, memory = (
+        _random_filter(size, n_actions, n_observations, rng) for size in (n_states, n_memory)
+    )
+    action = UNDECIDED * rng.normal(size=(n_states + n_memory, n_actions))
+    return Logits(*model, *memory, action, np.zeros((n_observations, n_actions)))
+
+
+def _random_filter(
+    n_states: int, n_actions: int, n_observations: int, rng: np.random.Generator
+) -> FilterLogits:
     transition = rng.normal(size=(n_actions, n_states, n_states + 1))
     transition[..., -1] = TERMINATION
-    return Logits(
+    return FilterLogits(
         initial=np.zeros((n_observations, n_states)),
         transition=transition,
         emission=rng.normal(size=(n_states, n_observations)),
-        action=UNDECIDED * rng.normal(size=(n_states, n_actions)),
     )

@@ -8,14 +8,18 @@ from typing import Any
 import numpy as np
 
 from bnprl_agents.agent import Metrics
-from bnprl_agents.belief.filtering import filter_beliefs
-from bnprl_agents.belief.gradient import NO_POLICY, Surrogate, objective_gradient
+from bnprl_agents.belief.filtering import Sequences
+from bnprl_agents.belief.gradient import (
+    Surrogate,
+    filtered,
+    likelihood_gradient,
+    policy_gradient,
+)
 from bnprl_agents.belief.learner import BeliefAgent
 from bnprl_agents.belief.policy import random_logits
-from bnprl_agents.episodes import EpisodeBatch, IntArray
+from bnprl_agents.episodes import EpisodeBatch
 from bnprl_agents.policy_files import Arrays
 from bnprl_agents.proximal.actor import Actor
-from bnprl_agents.proximal.adam import like
 from bnprl_agents.proximal.advantages import judged, standardised
 from bnprl_agents.proximal.config import (
     FIRST_LENGTH,
@@ -24,27 +28,31 @@ from bnprl_agents.proximal.config import (
     check_not_negative,
     check_positive,
 )
-from bnprl_agents.proximal.critic import Histories, single_cell
+from bnprl_agents.proximal.critic import Cells, Histories
 
 
 @dataclass(frozen=True)
 class PredictiveActorCriticConfig(ProximalConfig):
     """Settings of `PredictiveActorCritic`, the same for every environment."""
 
-    states: int = 40
-    """Hidden states of the model."""
+    states: int = 60
+    """Hidden states of the model, which learns to predict."""
+    memory: int = 12
+    """Hidden states of the memory, which learns from rewards alone."""
     learning_rate: float = 0.03
     """First step size of Adam on the logits."""
+    entropy: float = 0.05
+    """First weight of the policy's entropy, in standard deviations of the advantage."""
     annealing_steps: float = 100_000.0
-    """Steps after which step size and entropy weight fall, as 1 over the square root."""
+    """Steps after which the entropy weight falls as 1 / steps, the step size as its root."""
     prediction: float = 1.0
-    """Weight of the log-likelihood of observations; 0 leaves the belief to the policy alone."""
+    """Weight of the model's log-likelihood; 0 leaves the model to rewards, too."""
     replay_batches: int = 500
     """Past batches, the latest, from which the prediction goes on learning."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_counts(self, "states", "replay_batches")
+        check_counts(self, "states", "memory", "replay_batches")
         check_positive(self, "learning_rate", "annealing_steps")
         check_not_negative(self, "prediction")
 
@@ -56,16 +64,14 @@ SQUARE_MEMORY, TINY = 0.995, 1e-7
 
 
 class PredictiveActorCritic(BeliefAgent):
-    """Proximal policy optimisation on the belief of a hidden Markov model learned on the way.
+    """Proximal policy optimisation on the beliefs of two filters learned on the way.
 
-    Every observation is a training signal: the model's likelihood, on new episodes and on old
-    ones alike, shapes the belief, and the policy's gradient passes through the same filter. The
-    advantages come from a critic that is linear in the belief.
-
-    Tried on Hallway and worse: the same model fitted by EM alone (from random starts, by splitting
-    states, stochastically), because it stops .06 nats a step short of the truth: point-based
-    planning on it reaches .21, an actor-critic on its fixed belief .43 after 600,000 steps; on the
-    true model these reach .52 and .51. Without `prediction` the filter learns from rewards alone.
+    The first is a hidden Markov model: every observation is a training signal, and its likelihood,
+    on new episodes and on old ones alike, shapes the belief beside the policy's gradient. The
+    second, a memory of the same form, is shaped by the policy's gradient alone and keeps what helps
+    to act but not to predict. The policy is log-linear in both beliefs and the last observation;
+    the advantages come from a critic that is linear in the beliefs, with weights of its own for
+    every last observation.
 
     Paper: Schulman et al., Proximal policy optimization algorithms, 2017, for the objective;
     Baum et al., 1970, for the likelihood's gradient.
@@ -84,9 +90,9 @@ class PredictiveActorCritic(BeliefAgent):
         seed: int,
     ) -> None:
         super().__init__(observation_space, action_space, config, discount=discount, seed=seed)
-        n_states = self.config.states
-        logits = random_logits(n_states, self.n_actions, self.n_observations, self.rng)
-        self.actor = Actor.begin(logits, n_cells=1)
+        sizes = self.config.states, self.config.memory
+        logits = random_logits(*sizes, self.n_actions, self.n_observations, self.rng)
+        self.actor = Actor.begin(logits, self.n_observations, sum(sizes))
         self.policy = logits.policy()
         self.steps = 0
         self.mean_length = FIRST_LENGTH
@@ -98,8 +104,8 @@ class PredictiveActorCritic(BeliefAgent):
         return self.config.batch_episodes(self.mean_length)
 
     def annealing(self) -> float:
-        """Factor of step size and entropy weight: min(1, annealing_steps / steps)^1/2."""
-        return float(min(1.0, self.config.annealing_steps / self.steps) ** 0.5)
+        """Factor of the entropy weight and of the squared step size."""
+        return min(1.0, self.config.annealing_steps / self.steps)
 
     def learn(self, episodes: EpisodeBatch) -> Metrics:
         """Fit the critic, then climb likelihood and clipped objective."""
@@ -120,7 +126,7 @@ class PredictiveActorCritic(BeliefAgent):
         critic, advantage = judged(
             actor.critic,
             episodes,
-            Histories(*filter_beliefs(episodes, self.policy), single_cell(episodes)),
+            self._histories(episodes),
             on_policy,
             self.config,
             discount=self.discount,
@@ -131,18 +137,29 @@ class PredictiveActorCritic(BeliefAgent):
         entropy = self.config.entropy * self.annealing()
         return Surrogate(standard, episodes.behaviour[:, 0], self.config.clip, entropy)
 
+    def _histories(self, episodes: EpisodeBatch) -> Histories:
+        """Both beliefs along the episodes; the last observation is the critic's cell."""
+        model, memory = filtered(Sequences.of(episodes), self.policy)
+        return Histories(
+            np.concatenate([model.before, memory.before], axis=1),
+            np.concatenate([model.final, memory.final], axis=1),
+            Cells(episodes.observations[:, 0], episodes.final_observations[:, 0]),
+        )
+
     def _climb(self, episodes: EpisodeBatch, surrogate: Surrogate) -> float:
         """Adam on minibatches of new and of old episodes; return the likelihood of the old."""
         logits, moments = self.actor.logits, self.actor.moments
-        rate = self.config.learning_rate * self.annealing()
-        likelihoods = []
+        rate = self.config.learning_rate * self.annealing() ** 0.5
+        sequences, likelihoods = Sequences.of(episodes), []
         for chosen in self.config.minibatches(episodes, self.rng):
-            _, slope = objective_gradient(episodes, chosen, logits, surrogate, 0.0)
+            policy = logits.policy()
+            some, rows = sequences.chosen(chosen)
+            slope = policy_gradient(some, policy, surrogate.at(rows))
             if self.config.prediction > 0.0:
-                likelihood, ascent = objective_gradient(
-                    *self._draw_old(), logits, NO_POLICY, self.config.prediction
+                likelihood, ascent = likelihood_gradient(
+                    self._draw_old(), policy.model, self.config.prediction
                 )
-                slope = like(slope, (p + q for p, q in zip(slope, ascent, strict=True)))
+                slope = slope.plus(ascent)
                 likelihoods.append(likelihood)
             logits, moments = moments.ascend(
                 logits, slope, rate, square_memory=SQUARE_MEMORY, tiny=TINY
@@ -150,12 +167,13 @@ class PredictiveActorCritic(BeliefAgent):
         self.actor = self.actor._replace(logits=logits, moments=moments)
         return float(np.mean(likelihoods)) if likelihoods else float("nan")
 
-    def _draw_old(self) -> tuple[EpisodeBatch, IntArray]:
+    def _draw_old(self) -> Sequences:
         """Some episodes, about `minibatch_steps` steps, of a batch drawn from the replay."""
         batch = self.replay[int(self.rng.integers(len(self.replay)))]
         order = self.rng.permutation(batch.n_episodes)
         lengths = np.diff(batch.offsets)[order].cumsum()
-        return batch, order[: 1 + int(np.searchsorted(lengths, self.config.minibatch_steps))]
+        enough = order[: 1 + int(np.searchsorted(lengths, self.config.minibatch_steps))]
+        return Sequences.of(batch).chosen(enough)[0]
 
     def state_arrays(self) -> Arrays:
         """The learner's state, its logits, moments and critic, and the replay."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from bnprl_agents.belief.filtering import action_probabilities, predict
+from bnprl_agents.belief.filtering import predict
 from bnprl_agents.belief.policy import BeliefPolicy
 from bnprl_agents.controllers.rollout import check_size, in_chunks
 from bnprl_agents.episodes import EpisodeBatch
@@ -34,18 +34,14 @@ def belief_rollout(
         ValueError: the policy does not fit the model, or a number is below 1.
     """
     sizes = (model.n_actions, model.n_observations + (not model.fully_observed))
-    if model.n_agents != 1 or (policy.action.shape[1], policy.emission.shape[1]) != sizes:
+    if model.n_agents != 1 or policy.sight.T.shape != sizes:
         raise ValueError(
-            f"policy: {policy.action.shape[1]} actions and {policy.emission.shape[1]} "
+            f"policy: {policy.sight.shape[1]} actions and {policy.sight.shape[0]} "
             f"observations, the model has {model.n_agents} agents and {sizes}"
         )
     check_size(episodes, horizon)
-    tables = policy._replace(
-        emission=np.ascontiguousarray(policy.emission.T),
-        action=np.ascontiguousarray(policy.action.T),
-    )
     parts = in_chunks(
-        lambda chunk, stream: _rollout(model.sampler, tables, len(chunk), horizon, stream),
+        lambda chunk, stream: _rollout(model.sampler, policy, len(chunk), horizon, stream),
         episodes,
         rng,
     )
@@ -53,14 +49,36 @@ def belief_rollout(
 
 
 @njit(cache=True, nogil=True, fastmath={"reassoc", "contract"}, error_model="numpy")
-def _choose(belief, action, uniform):  # type: ignore[no-untyped-def]
+def _choose(belief, action, sight, uniform):  # type: ignore[no-untyped-def]
     """Draw an action; return it with its probability."""
-    p = action_probabilities(belief, action)
+    logits = sight.copy()
+    for i in range(belief.size):
+        for u in range(logits.size):
+            logits[u] += belief[i] * action[i, u]
+    p = np.exp(logits - logits.max())
+    p /= p.sum()
     chosen, passed = 0, p[0]
     while passed <= uniform and chosen < p.size - 1:
         chosen += 1
         passed += p[chosen]
     return chosen, min(p[chosen], 1.0)
+
+
+@njit(cache=True, nogil=True, fastmath={"reassoc", "contract"}, error_model="numpy")
+def _advance(filter_, belief, action, observation, ahead):  # type: ignore[no-untyped-def]
+    seen = filter_.emission[observation]
+    likelihood = predict(belief, filter_.transition[action], seen, ahead)
+    belief[:] = ahead * seen / likelihood
+
+
+@njit(cache=True, nogil=True)
+def _step(sampler, state, action, rng):  # type: ignore[no-untyped-def]
+    """Draw the next state and observation; return them with the reward."""
+    move = draw(sampler.transition, action * sampler.n_states + state, rng.random())
+    state = np.int64(sampler.transition.outcome[move])
+    row = action * sampler.n_states + state
+    seen = np.int64(sampler.observation.outcome[draw(sampler.observation, row, rng.random())])
+    return state, seen, sampler.reward[move, seen % sampler.reward.shape[1]]
 
 
 @njit(cache=True, nogil=True, fastmath={"reassoc", "contract"}, error_model="numpy")
@@ -72,29 +90,25 @@ def _rollout(sampler, policy, episodes, horizon, rng):  # type: ignore[no-untype
     rewards, behaviour = np.empty(capacity), np.empty((capacity, 1))
     last_seen = np.empty((episodes, 1), dtype=np.int64)
     terminated = np.zeros(episodes, dtype=np.bool_)
-    ahead = np.empty(policy.initial.shape[1])
+    states = policy.model.initial.shape[1]
+    belief, ahead = np.empty(policy.action.shape[0]), np.empty(policy.action.shape[0])
     step = 0
     for k in range(episodes):
         state = np.int64(sampler.start.outcome[draw(sampler.start, 0, rng.random())])
         seen = state if sampler.informative_start else sampler.n_observations
-        belief = policy.initial[seen].copy()
+        belief[:states] = policy.model.initial[seen]
+        belief[states:] = policy.memory.initial[seen]
         for t in range(horizon):
-            a, p = _choose(belief, policy.action, rng.random())
+            a, p = _choose(belief, policy.action, policy.sight[seen], rng.random())
             observations[step, 0], actions[step, 0], behaviour[step, 0] = seen, a, p
-            move = draw(sampler.transition, a * sampler.n_states + state, rng.random())
-            state = np.int64(sampler.transition.outcome[move])
-            row = a * sampler.n_states + state
-            seen = np.int64(
-                sampler.observation.outcome[draw(sampler.observation, row, rng.random())]
-            )
-            rewards[step] = sampler.reward[move, seen % sampler.reward.shape[1]]
+            state, seen, rewards[step] = _step(sampler, state, a, rng)
             step += 1
             if sampler.terminal[state]:
                 terminated[k] = True
                 break
             if t + 1 < horizon:
-                likelihood = predict(belief, policy.transition[a], policy.emission[seen], ahead)
-                belief[:] = ahead * policy.emission[seen] / likelihood
+                _advance(policy.model, belief[:states], a, seen, ahead[:states])
+                _advance(policy.memory, belief[states:], a, seen, ahead[states:])
         last_seen[k] = seen
         offsets[k + 1] = step
     return (

@@ -115,7 +115,7 @@ class ActorCritic(ControllerAgent):
             logits = random_logits(
                 self.config.nodes, n_actions, n_seen, self.config.sight_spread, self.rng
             )
-            self.actors.append(Actor.begin(logits, n_cells=(n_actions + 1) * n_seen))
+            self.actors.append(Actor.begin(logits, (n_actions + 1) * n_seen, self.config.nodes))
         return tuple(actor.logits.controller() for actor in self.actors)
 
     @property

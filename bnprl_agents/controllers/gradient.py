@@ -211,6 +211,32 @@ def _choose(belief, action, push, d_action, back):  # type: ignore[no-untyped-de
 
 
 @njit(cache=True, fastmath={"reassoc", "contract"}, error_model="numpy")
+def _follow(observations, actions, factors, belief, alpha, likelihood):  # type: ignore[no-untyped-def]
+    """Filter one episode: set b_t, alpha_t and p(a_t | h_t)."""
+    belief[0] = factors.initial[observations[0]]
+    for t in range(actions.size):
+        a = actions[t]
+        likelihood[t] = _condition(belief[t], factors.action[a], alpha[t])
+        if t < actions.size - 1:
+            o = observations[t + 1]
+            _advance(alpha[t], factors.move[a], factors.sight[o], factors.norm[a, o], belief[t + 1])
+
+
+@njit(cache=True, fastmath={"reassoc", "contract"}, error_model="numpy")
+def _gain(step, a, belief, likelihood, surrogate, factors, d_action, back, ahead):  # type: ignore[no-untyped-def]
+    """Set ahead = dJ/d b_t from back = dJ/d alpha_t, centred; return r - 1 - log r and H_t."""
+    weight = surrogate.weight[step]
+    ratio = likelihood / np.exp(surrogate.log_old[step])
+    pull = weight * clipped_pull(ratio, surrogate.advantage[step], surrogate.clip)
+    for i in range(belief.size):
+        change = (back[i] + pull) / likelihood
+        d_action[a, i] += belief[i] * change
+        ahead[i] = factors.action[a, i] * change + weight * surrogate.bonus[i]
+    entropy = _choose(belief, factors.action, weight * surrogate.entropy, d_action, ahead)
+    return ratio - 1.0 - np.log(ratio), entropy
+
+
+@njit(cache=True, fastmath={"reassoc", "contract"}, error_model="numpy")
 def _ascent(chosen, offsets, observations, actions, factors, surrogate, slope):  # type: ignore[no-untyped-def]
     n_nodes = factors.action.shape[1]
     longest = (offsets[1:] - offsets[:-1])[chosen].max()
@@ -219,44 +245,24 @@ def _ascent(chosen, offsets, observations, actions, factors, surrogate, slope): 
     back, ahead = np.empty(n_nodes), np.empty(n_nodes)  # dJ/d alpha_t, dJ/d b_{t+1}
     divergence, entropy, steps = 0.0, 0.0, 0
     for k in chosen:
-        begin, size = offsets[k], offsets[k + 1] - offsets[k]
-        belief[0] = factors.initial[observations[begin]]
-        for t in range(size):
-            a = actions[begin + t]
-            likelihood[t] = _condition(belief[t], factors.action[a], alpha[t])
-            if t < size - 1:
-                o = observations[begin + t + 1]
-                _advance(
-                    alpha[t], factors.move[a], factors.sight[o], factors.norm[a, o], belief[t + 1]
-                )
-        for t in range(size - 1, -1, -1):
-            step, a, mean = begin + t, actions[begin + t], 0.0
+        seen = observations[offsets[k] : offsets[k + 1]]
+        done = actions[offsets[k] : offsets[k + 1]]
+        _follow(seen, done, factors, belief, alpha, likelihood)
+        for t in range(done.size - 1, -1, -1):
+            a = done[t]
             back[:] = 0.0
-            if t < size - 1:
-                o = observations[step + 1]
+            if t < done.size - 1:
+                o = seen[t + 1]
                 mean = _retreat(
-                    alpha[t],
-                    factors.move[a],
-                    factors.sight[o],
-                    factors.norm[a, o],
-                    ahead,
-                    back,
-                    slope.move[a],
-                    slope.sight[o],
-                )
-            ratio = likelihood[t] / np.exp(surrogate.log_old[step])
-            divergence += ratio - 1.0 - np.log(ratio)
-            pull = surrogate.weight[step] * clipped_pull(
-                ratio, surrogate.advantage[step], surrogate.clip
-            )
-            for i in range(n_nodes):
-                change = (back[i] - mean + pull) / likelihood[t]
-                slope.action[a, i] += belief[t, i] * change
-                ahead[i] = factors.action[a, i] * change
-                ahead[i] += surrogate.weight[step] * surrogate.bonus[i]
-            push = surrogate.weight[step] * surrogate.entropy
-            entropy += _choose(belief[t], factors.action, push, slope.action, ahead)
-        for i in range(n_nodes):
-            slope.initial[observations[begin], i] += ahead[i]
-        steps += size
+                    alpha[t], factors.move[a], factors.sight[o], factors.norm[a, o], ahead, back,
+                    slope.move[a], slope.sight[o],
+                )  # fmt: skip
+                back -= mean
+            far, open_ = _gain(
+                offsets[k] + t, a, belief[t], likelihood[t], surrogate, factors, slope.action,
+                back, ahead,
+            )  # fmt: skip
+            divergence, entropy = divergence + far, entropy + open_
+        slope.initial[seen[0]] += ahead
+        steps += done.size
     return divergence, entropy, steps

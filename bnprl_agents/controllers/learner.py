@@ -1,35 +1,20 @@
-"""What every controller learner shares: acting, recording, exploring, saving."""
+"""What every controller learner shares: exploring, sampling, saving."""
 
 from __future__ import annotations
 
-import abc
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from bnprl_agents.agent import Agent, Metrics
-from bnprl_agents.controllers.controller import Controller, normalised, random_controller
+from bnprl_agents.controllers.controller import Controller, random_controller
 from bnprl_agents.controllers.exploration import exploring_probability, team_exploring
 from bnprl_agents.controllers.messages import Counts, Messages
 from bnprl_agents.controllers.rollout import rollout
-from bnprl_agents.discrete import DiscreteSpaces
-from bnprl_agents.episodes import BoolArray, EpisodeBatch, FloatArray, IntArray
+from bnprl_agents.episodes import EpisodeBatch, FloatArray, IntArray
+from bnprl_agents.history_agent import HistoryAgent
 from bnprl_agents.policy_files import Arrays
-from bnprl_agents.recorder import EpisodeRecorder
 from bnprl_envs.model import TabularModel
-
-
-class PolicyState(NamedTuple):
-    """What `predict` remembers of n copies.
-
-    Attributes:
-        belief: (n, Z) node distribution after the last observation, a tuple of them for a team.
-        action: (n, N) last action indices.
-    """
-
-    belief: FloatArray | tuple[FloatArray, ...]
-    action: IntArray
 
 
 class NegativeRewardError(ValueError):
@@ -47,7 +32,7 @@ class NegativeRewardError(ValueError):
         )
 
 
-class ControllerAgent(Agent):
+class ControllerAgent(HistoryAgent):
     """Base of the learners of finite-state controllers, for one agent and for teams.
 
     Subclasses say how a batch of episodes changes the controllers (`learn`). Every agent of a
@@ -68,22 +53,8 @@ class ControllerAgent(Agent):
         seed: int,
     ) -> None:
         super().__init__(observation_space, action_space, config, discount=discount, seed=seed)
-        self.spaces = DiscreteSpaces(observation_space, action_space)
         self.controllers = self.initial_controllers()
         self.explore = tuple(np.ones(c.n_nodes) for c in self.controllers)
-        self._recorder = EpisodeRecorder(len(self.controllers))
-        self._belief = [np.zeros((0, c.n_nodes)) for c in self.controllers]
-        self._seen = np.zeros((0, len(self.controllers)), dtype=np.int64)
-        self._alive = np.zeros(0, dtype=np.bool_)
-
-    @abc.abstractmethod
-    def learn(self, episodes: EpisodeBatch) -> Metrics:
-        """Improve the controllers by a batch of episodes and set the exploration."""
-
-    @property
-    @abc.abstractmethod
-    def batch_episodes(self) -> int:
-        """Episodes that one call of `learn` wants; the last of a budget may get fewer."""
 
     def sample(
         self, model: TabularModel, *, episodes: int, horizon: int, rng: np.random.Generator
@@ -126,102 +97,40 @@ class ControllerAgent(Agent):
             )
         )
 
-    def reset(self, observation: Any, mask: BoolArray | None = None) -> None:
-        """Begin new episodes; see `Agent.reset`. The number of copies may change if all begin."""
-        seen = self.spaces.observations(observation)
-        begun = np.ones(len(seen), dtype=np.bool_) if mask is None else np.asarray(mask, bool)
-        if begun.shape != (len(seen),):
-            raise ValueError(f"mask: shape {begun.shape}, must be ({len(seen)},)")
-        if len(seen) != len(self._alive):
-            if not begun.all():
-                raise ValueError(f"{len(seen)} copies, was {len(self._alive)}: reset all of them")
-            self._belief = [np.zeros((len(seen), c.n_nodes)) for c in self.controllers]
-            self._seen, self._alive = seen.copy(), begun.copy()
-        self._recorder.begin(begun)
-        self._seen[begun] = seen[begun]
-        self._alive |= begun
-        for n, controller in enumerate(self.controllers):
-            self._belief[n][begun] = controller.begin(seen[begun, n])
+    def begin(self, seen: IntArray) -> list[FloatArray]:
+        """Node distributions after first observations; see `HistoryAgent.begin`."""
+        return [c.begin(seen[:, n]) for n, c in enumerate(self.controllers)]
 
-    def act(self, observation: Any) -> Any:
-        """Sample actions from the controllers mixed with exploration; see `Agent.act`."""
-        self._require_alive()
-        chosen = np.stack([_sample(p, self.rng) for p in self.behaviour_probabilities()], axis=1)
-        return self.spaces.external_actions(chosen, observation)
+    def advance(
+        self, beliefs: Sequence[FloatArray], actions: IntArray, seen: IntArray
+    ) -> list[FloatArray]:
+        """Node distributions after a step; see `HistoryAgent.advance`."""
+        return [
+            c.advance(belief, actions[:, n], seen[:, n])
+            for n, (c, belief) in enumerate(zip(self.controllers, beliefs, strict=True))
+        ]
+
+    def policy_probabilities(
+        self, beliefs: Sequence[FloatArray], seen: IntArray
+    ) -> list[FloatArray]:
+        """The controllers' probabilities; see `HistoryAgent.policy_probabilities`."""
+        return [
+            c.action_probabilities(belief)
+            for c, belief in zip(self.controllers, beliefs, strict=True)
+        ]
 
     def behaviour_probabilities(self) -> list[FloatArray]:
         """For each agent (n, A): the controller mixed with uniform exploration, (2.46)."""
         probabilities = []
-        for controller, belief, explore in zip(
-            self.controllers, self._belief, self.explore, strict=True
+        for exploit, belief, explore in zip(
+            self.policy_probabilities(self._belief, self._seen),
+            self._belief,
+            self.explore,
+            strict=True,
         ):
             exploring = (belief @ explore)[:, None]
-            exploit = controller.action_probabilities(belief)
-            probabilities.append((1.0 - exploring) * exploit + exploring / controller.n_actions)
+            probabilities.append((1.0 - exploring) * exploit + exploring / exploit.shape[1])
         return probabilities
-
-    def observe(
-        self, action: Any, reward: Any, observation: Any, terminated: Any, truncated: Any
-    ) -> None:
-        """Record one transition with its behaviour probability; see `Agent.observe`."""
-        self._require_alive()
-        actions, seen = self.spaces.actions(action), self.spaces.observations(observation)
-        rewards = self.spaces.reward(reward)
-        self.check_reward(float(rewards.min()))
-        ended = self.spaces.flag("terminated", terminated)
-        cut = self.spaces.flag("truncated", truncated)
-        copies = np.arange(len(actions))
-        behaviour = np.stack(
-            [p[copies, actions[:, n]] for n, p in enumerate(self.behaviour_probabilities())], axis=1
-        )
-        self._recorder.add(self._seen, actions, rewards, behaviour, seen, ended, cut)
-        for n, controller in enumerate(self.controllers):
-            self._belief[n] = controller.advance(self._belief[n], actions[:, n], seen[:, n])
-        self._seen = seen
-        self._alive = ~(ended | cut)
-
-    def update(self) -> Metrics:
-        """Learn once `batch_episodes` episodes are finished; see `Agent.update`."""
-        if self._recorder.n_finished < self.batch_episodes:
-            return {}
-        return self.learn(self._recorder.take())
-
-    def finish(self) -> Metrics:
-        """Learn from the finished episodes, fewer than a batch; see `Agent.finish`."""
-        return self.learn(self._recorder.take()) if self._recorder.n_finished else {}
-
-    def predict(
-        self,
-        observation: Any,
-        state: PolicyState | None = None,
-        episode_start: Any = None,
-        deterministic: bool = False,
-    ) -> tuple[Any, PolicyState]:
-        """Act by the filtered controllers; see `Agent.predict`."""
-        seen = self.spaces.observations(observation)
-        beliefs = self._predicted_beliefs(seen, state, episode_start)
-        actions = []
-        for controller, belief in zip(self.controllers, beliefs, strict=True):
-            p = controller.action_probabilities(belief)
-            actions.append(p.argmax(axis=1) if deterministic else _sample(p, self.predict_rng))
-        chosen = np.stack(actions, axis=1)
-        kept = beliefs[0] if len(beliefs) == 1 else tuple(beliefs)
-        return self.spaces.external_actions(chosen, observation), PolicyState(kept, chosen)
-
-    def _predicted_beliefs(
-        self, seen: IntArray, state: PolicyState | None, episode_start: Any
-    ) -> list[FloatArray]:
-        begun = [c.begin(seen[:, n]) for n, c in enumerate(self.controllers)]
-        if state is None:
-            return begun
-        fresh = np.zeros(len(seen), dtype=np.bool_)
-        if episode_start is not None:
-            fresh |= np.asarray(episode_start, dtype=np.bool_)
-        last = (state.belief,) if isinstance(state.belief, np.ndarray) else state.belief
-        return [
-            np.where(fresh[:, None], first, c.advance(belief, state.action[:, n], seen[:, n]))
-            for n, (c, first, belief) in enumerate(zip(self.controllers, begun, last, strict=True))
-        ]
 
     def set_exploration(self, occupancies: Sequence[FloatArray]) -> None:
         """Draw the nodes' exploration anew from their value-weighted occupancies (Z,)."""
@@ -237,16 +146,15 @@ class ControllerAgent(Agent):
 
     def state_arrays(self) -> Arrays:
         """Controllers, exploration, beliefs and what is recorded."""
-        arrays: Arrays = {"seen": self._seen, "alive": self._alive}
-        for n, (controller, explore, belief) in enumerate(
-            zip(self.controllers, self.explore, self._belief, strict=True)
-        ):
+        arrays = super().state_arrays()
+        for n, (controller, explore) in enumerate(zip(self.controllers, self.explore, strict=True)):
             arrays |= {f"{name}_{n}": table for name, table in vars(controller).items()}
-            arrays |= {f"explore_{n}": explore, f"belief_{n}": belief}
-        return arrays | self._recorder.state_arrays()
+            arrays[f"explore_{n}"] = explore
+        return arrays
 
     def restore(self, arrays: Arrays, counters: dict[str, Any]) -> None:
         """Take over a saved state; see `Agent.restore`."""
+        super().restore(arrays, counters)
         team = range(len(self.controllers))
         self.controllers = tuple(
             Controller(*(arrays[f"{name}_{n}"] for name in Counts._fields)) for n in team
@@ -259,15 +167,6 @@ class ControllerAgent(Agent):
                 if np.abs(getattr(controller, name).sum(axis=-1) - 1.0).max() > 1e-6:
                     raise ValueError(f"a row of {name}_{n} does not sum to 1")
         self.explore = tuple(arrays[f"explore_{n}"] for n in team)
-        self._belief = [arrays[f"belief_{n}"] for n in team]
-        self._seen, self._alive = arrays["seen"], arrays["alive"]
-        self._recorder.restore(arrays)
-
-    def _require_alive(self) -> None:
-        if not self._alive.size or not self._alive.all():
-            raise RuntimeError(
-                "an episode has ended or none has begun: call reset(observation, mask) first"
-            )
 
 
 def shifted(episodes: EpisodeBatch, shift: float, discount: float) -> EpisodeBatch:
@@ -297,11 +196,3 @@ def shifted(episodes: EpisodeBatch, shift: float, discount: float) -> EpisodeBat
             shift * discount / (1.0 - discount)
         )
     return EpisodeBatch(**(vars(episodes) | {"rewards": rewards}))
-
-
-def _sample(probabilities: FloatArray, rng: np.random.Generator) -> IntArray:
-    """Draw one index a row of (n, A)."""
-    cumulative = np.cumsum(normalised(probabilities), axis=1)
-    uniform = rng.random(len(cumulative))[:, None] * cumulative[:, -1:]
-    index: IntArray = np.argmax(cumulative > uniform, axis=1)
-    return index

@@ -25,9 +25,9 @@ class Actor(NamedTuple, Generic[Tables]):
     scale: float
 
     @staticmethod
-    def begin(logits: Tables, n_cells: int) -> Actor[Tables]:
-        """Nothing learned; the last axis of the first logits is that of the belief."""
-        return Actor(logits, Adam.begin(logits), Critic.begin(n_cells, logits[0].shape[-1]), 0.0)
+    def begin(logits: Tables, n_cells: int, n_features: int) -> Actor[Tables]:
+        """Nothing learned, of a critic that is linear in so many features."""
+        return Actor(logits, Adam.begin(logits), Critic.begin(n_cells, n_features), 0.0)
 
     def arrays(self, suffix: str = "") -> Arrays:
         """Everything but the scale and the number of updates, each name with a suffix."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
+from numba import vectorize
 
 from bnprl_agents.episodes import EpisodeBatch, IntArray
 
@@ -55,7 +55,7 @@ class ProximalConfig:
             yield from np.array_split(order, min(pieces, order.size))
 
 
-@njit(cache=True)
+@vectorize(["float64(float64, float64, float64)"], cache=True)  # type: ignore[no-untyped-call]
 def clipped_pull(ratio, advantage, clip):  # type: ignore[no-untyped-def]
     """Derivative of the clipped surrogate with respect to log p: 0 once the ratio has gone far.
 

@@ -33,13 +33,6 @@ def history_cells(episodes: EpisodeBatch, agent: int, n_actions: int, n_observat
     )
 
 
-def single_cell(episodes: EpisodeBatch) -> Cells:
-    """Cell 0 for every history."""
-    return Cells(
-        np.zeros(episodes.n_steps, dtype=np.int64), np.zeros(episodes.n_episodes, dtype=np.int64)
-    )
-
-
 class Histories(NamedTuple):
     """What a critic sees of the histories of one agent.
 

@@ -9,9 +9,14 @@ import pytest
 
 from baselines.benchmarks.pomdp_learners import Goal, run
 from bnprl_agents.agent import load
-from bnprl_agents.belief.filtering import filter_beliefs
-from bnprl_agents.belief.gradient import NO_POLICY, Surrogate, objective_gradient
-from bnprl_agents.belief.policy import Logits, random_logits
+from bnprl_agents.belief.filtering import Sequences, filter_gradient, run_filter
+from bnprl_agents.belief.gradient import (
+    Surrogate,
+    filtered,
+    likelihood_gradient,
+    policy_gradient,
+)
+from bnprl_agents.belief.policy import FilterLogits, random_logits
 from bnprl_agents.belief.predictive_actor_critic import (
     PredictiveActorCritic,
     PredictiveActorCriticConfig,
@@ -19,7 +24,7 @@ from bnprl_agents.belief.predictive_actor_critic import (
 from bnprl_agents.belief.rollout import belief_rollout
 from tests.agents.cases import random_episodes, random_model
 
-STATES, ACTIONS, OBSERVATIONS = 3, 2, 3
+STATES, MEMORY, ACTIONS, OBSERVATIONS = 3, 2, 2, 3
 SPACES = gym.spaces.Discrete(OBSERVATIONS), gym.spaces.Discrete(ACTIONS)
 EVERY = np.arange(3)
 
@@ -29,114 +34,157 @@ def case(seed=0):
     episodes = random_episodes(rng, (4, 1, 5), (ACTIONS,), (OBSERVATIONS,))
     ends = np.array([True, False, False])
     episodes = type(episodes)(**(vars(episodes) | {"terminated": ends}))
-    return rng, episodes, random_logits(STATES, ACTIONS, OBSERVATIONS, rng)
+    return rng, episodes, random_logits(STATES, MEMORY, ACTIONS, OBSERVATIONS, rng)
 
 
-def likelihood_of(episodes, logits, k):
+def beliefs_of(episodes, policy):
+    """Of model and memory, before each action."""
+    return np.concatenate([way.before for way in filtered(Sequences.of(episodes), policy)], axis=1)
+
+
+def likelihood_of(episodes, model, k):
     """Sum over all paths of hidden states; the policy's factors left out."""
-    policy = logits.policy()
     begin, end = episodes.offsets[k], episodes.offsets[k + 1]
     seen = [*episodes.observations[begin:end, 0], episodes.final_observations[k, 0]]
     actions = episodes.actions[begin:end, 0]
     length = len(actions) + (not episodes.terminated[k])
     total = 0.0
     for path in itertools.product(range(STATES), repeat=length):
-        p = policy.initial[seen[0], path[0]]
+        p = model.initial[seen[0], path[0]]
         for t in range(length - 1):
             i, j = path[t], path[t + 1]
-            p *= policy.transition[actions[t], i, j] * policy.emission[j, seen[t + 1]]
+            p *= model.transition[actions[t], i, j] * model.emission[seen[t + 1], j]
         if episodes.terminated[k]:
-            p *= policy.termination[actions[-1], path[-1]]
+            p *= model.termination[actions[-1], path[-1]]
         total += p
     return total
 
 
 def test_the_likelihood_is_the_sum_over_all_paths():
     _, episodes, logits = case()
+    model = logits.policy().model
     for k in EVERY:
-        found, _ = objective_gradient(episodes, np.array([k]), logits, NO_POLICY, 1.0)
-        steps = np.diff(episodes.offsets)[k]
-        assert found * steps == pytest.approx(np.log(likelihood_of(episodes, logits, k)), abs=1e-9)
+        some, rows = Sequences.of(episodes).chosen(np.array([k]))
+        found, _ = likelihood_gradient(some, model, 1.0)
+        assert found * rows.size == pytest.approx(np.log(likelihood_of(episodes, model, k)))
 
 
-def objective(episodes, logits, surrogate, prediction):
-    """The objective a step, written with the acting filter."""
-    policy, total = logits.policy(), 0.0
-    beliefs = filter_beliefs(episodes, policy).before
-    p = policy.action_probabilities(beliefs)
+def test_chosen_sequences_are_those_of_the_chosen_episodes():
+    _, episodes, _ = case()
+    some, rows = Sequences.of(episodes).chosen(np.array([2, 0]))
+    assert rows.tolist() == [*range(5, 10), *range(4)]
+    joined = type(episodes).concatenate([episodes.between(2, 3), episodes.first(1)])
+    for found, wanted in zip(some, Sequences.of(joined), strict=True):
+        assert found.tolist() == wanted.tolist()
+
+
+def assert_slope(table, gradient, objective):
+    """Compare a gradient by a table with central differences of objective(table)."""
+    for index in np.ndindex(table.shape):
+        step = np.zeros_like(table)
+        step[index] = 1e-5
+        numeric = (objective(table + step) - objective(table - step)) / 2e-5
+        assert gradient[index] == pytest.approx(numeric, abs=1e-7)
+
+
+def surrogate_of(episodes, logits, surrogate):
+    """The policy's objective a step, written with the acting filter."""
+    policy = logits.policy()
+    p = policy.action_probabilities(beliefs_of(episodes, policy), episodes.observations[:, 0])
     taken = np.take_along_axis(p, episodes.actions, axis=1)[:, 0]
-    total += (taken / surrogate.behaviour * surrogate.advantage).sum()
-    total -= surrogate.entropy * (p * np.log(p)).sum()
-    total += prediction * sum(np.log(likelihood_of(episodes, logits, k)) for k in EVERY)
-    return total / episodes.n_steps
+    total = (taken / surrogate.behaviour * surrogate.advantage).sum()
+    return (total - surrogate.entropy * (p * np.log(p)).sum()) / episodes.n_steps
 
 
-@pytest.mark.parametrize("prediction", [0.0, 0.7])
-def test_the_gradient_is_that_of_finite_differences(prediction):
+def test_the_policys_gradient_is_that_of_finite_differences():
     rng, episodes, logits = case(1)
-    logits = logits._replace(action=rng.normal(size=logits.action.shape))
+    logits = logits._replace(
+        action=rng.normal(size=logits.action.shape), sight=rng.normal(size=logits.sight.shape)
+    )
     surrogate = Surrogate(rng.normal(size=10), episodes.behaviour[:, 0], 1e9, 0.3)
-    _, gradient = objective_gradient(episodes, EVERY, logits, surrogate, prediction)
-    for name in Logits._fields:
-        table = getattr(logits, name)
-        for index in np.ndindex(table.shape):
-            step = np.zeros_like(table)
-            step[index] = 1e-5
-            up, down = (
-                objective(episodes, logits._replace(**{name: table + s}), surrogate, prediction)
-                for s in (step, -step)
-            )
-            assert getattr(gradient, name)[index] == pytest.approx((up - down) / 2e-5, abs=1e-7)
+    gradient = policy_gradient(Sequences.of(episodes), logits.policy(), surrogate)
+    for name, slope in gradient._asdict().items():
+        assert_slope(
+            getattr(logits, name),
+            slope,
+            lambda x, name=name: surrogate_of(episodes, logits._replace(**{name: x}), surrogate),
+        )
+
+
+def test_the_likelihoods_gradient_is_that_of_finite_differences():
+    _, episodes, logits = case(1)
+    _, gradient = likelihood_gradient(Sequences.of(episodes), logits.policy().model, 0.7)
+
+    def likelihood(logits):
+        found = [np.log(likelihood_of(episodes, logits.filter(), k)) for k in EVERY]
+        return 0.7 * sum(found) / episodes.n_steps
+
+    for name, slope in gradient._asdict().items():
+        assert_slope(
+            getattr(logits.model, name),
+            slope,
+            lambda x, name=name: likelihood(logits.model._replace(**{name: x})),
+        )
+
+
+def test_without_objectives_nothing_moves():
+    _, episodes, logits = case(1)
+    sequences, model = Sequences.of(episodes), logits.policy().model
+    way = run_filter(sequences, model)
+    gradient = filter_gradient(sequences, model, way, np.zeros_like(way.before), 0.0)
+    assert isinstance(gradient, FilterLogits)
+    assert all((table == 0.0).all() for table in gradient)
 
 
 def test_a_step_beyond_the_clip_does_not_count():
     _, episodes, logits = case(2)
+    sequences, policy = Sequences.of(episodes), logits.policy()
     tiny = np.full(10, 1e-3)  # every ratio is far over 1 + clip
     surrogate = Surrogate(np.ones(10), tiny, 0.2, 0.0)
-    _, gradient = objective_gradient(episodes, EVERY, logits, surrogate, 0.0)
-    assert all((table == 0.0).all() for table in gradient)
-    _, gradient = objective_gradient(
-        episodes, EVERY, logits, surrogate._replace(advantage=-np.ones(10)), 0.0
-    )
-    assert np.abs(gradient.action).max() > 0.0
+    assert all((table == 0.0).all() for table in policy_gradient(sequences, policy, surrogate))
+    against = surrogate._replace(advantage=-np.ones(10))
+    assert np.abs(policy_gradient(sequences, policy, against).action).max() > 0.0
 
 
 def test_compiled_and_acting_filter_agree():
     _, episodes, logits = case(3)
-    policy, beliefs = logits.policy(), filter_beliefs(episodes, logits.policy())
+    policy, before = logits.policy(), beliefs_of(episodes, logits.policy())
+    model, memory = filtered(Sequences.of(episodes), policy)
+    final = np.concatenate([model.final, memory.final], axis=1)
     for k in (1, 2):
         begin, end = episodes.offsets[k], episodes.offsets[k + 1]
         belief = policy.begin(episodes.observations[begin : begin + 1, 0])
         for t in range(begin, end):
-            assert beliefs.before[t] == pytest.approx(belief[0], abs=1e-4)
+            assert before[t] == pytest.approx(belief[0], abs=1e-4)
             after = (
                 episodes.observations[t + 1, 0]
                 if t + 1 < end
                 else episodes.final_observations[k, 0]
             )
             belief = policy.advance(belief, episodes.actions[t], np.array([after]))
-        assert beliefs.final[k] == pytest.approx(belief[0], abs=1e-4)
-    assert (beliefs.final[0] == 0.0).all()
+        assert final[k] == pytest.approx(belief[0], abs=1e-4)
+    assert (final[0] == 0.0).all()
 
 
 def test_the_rollout_records_the_probabilities_of_the_policy():
     rng = np.random.default_rng(0)
     model = random_model(rng, action_sizes=(ACTIONS,), observation_sizes=(OBSERVATIONS - 1,))
-    policy = random_logits(STATES, ACTIONS, OBSERVATIONS, rng)._replace(
-        action=rng.normal(size=(STATES, ACTIONS))
-    )
-    batch = belief_rollout(model, policy.policy(), episodes=150, horizon=20, rng=rng)
-    p = policy.policy().action_probabilities(filter_beliefs(batch, policy.policy()).before)
+    logits = random_logits(STATES, MEMORY, ACTIONS, OBSERVATIONS, rng)
+    policy = logits._replace(
+        action=rng.normal(size=logits.action.shape), sight=rng.normal(size=logits.sight.shape)
+    ).policy()
+    batch = belief_rollout(model, policy, episodes=150, horizon=20, rng=rng)
+    p = policy.action_probabilities(beliefs_of(batch, policy), batch.observations[:, 0])
     assert batch.behaviour == pytest.approx(np.take_along_axis(p, batch.actions, axis=1))
     shares = [(batch.actions[:, 0] == a).mean() for a in range(ACTIONS)]
     assert shares == pytest.approx(p.mean(axis=0), abs=0.06)
     with pytest.raises(ValueError, match="policy: 2 actions and 3 observations"):
-        belief_rollout(random_model(rng), policy.policy(), episodes=1, horizon=1, rng=rng)
+        belief_rollout(random_model(rng), policy, episodes=1, horizon=1, rng=rng)
 
 
 def small(seed=0, **settings):
     config = PredictiveActorCriticConfig(
-        **({"states": 4, "batch_steps": 60, "minibatch_steps": 30} | settings)
+        **({"states": 4, "memory": 3, "batch_steps": 60, "minibatch_steps": 30} | settings)
     )
     return PredictiveActorCritic(*SPACES, config, discount=0.9, seed=seed)
 

@@ -9,7 +9,7 @@ import pytest
 from bnprl_agents.proximal.adam import Adam
 from bnprl_agents.proximal.advantages import advantages, judged, standardised
 from bnprl_agents.proximal.config import ProximalConfig, clipped_pull
-from bnprl_agents.proximal.critic import Cells, Critic, Histories, history_cells, single_cell
+from bnprl_agents.proximal.critic import Cells, Critic, Histories, history_cells
 from bnprl_agents.softmax import softmax, softmax_gradient
 from tests.agents.cases import random_episodes
 
@@ -92,11 +92,16 @@ def test_critic_recovers_a_linear_value_and_shares_it_with_unseen_cells():
     np.testing.assert_allclose(final, before[:2])
 
 
+def one_cell(episodes):
+    """Cell 0 for every history."""
+    return Cells(np.zeros(episodes.n_steps, int), np.zeros(episodes.n_episodes, int))
+
+
 def test_the_critic_of_a_single_cell_is_ridge_regression_on_fading_evidence():
     rng = np.random.default_rng(0)
     episodes = random_episodes(rng, (30, 20), *SIZES)
     x, y = rng.dirichlet(np.ones(3), size=50), rng.normal(size=50)
-    histories = Histories(x, x[:2], single_cell(episodes))
+    histories = Histories(x, x[:2], one_cell(episodes))
     critic = Critic.begin(1, 3).fitted(histories, y, 0.5, 2.0).fitted(histories, y, 0.5, 2.0)
     wanted = np.linalg.solve(1.5 * x.T @ x + 2.0 * np.eye(3), 1.5 * x.T @ y)
     np.testing.assert_allclose(critic.weights, [wanted])
@@ -106,7 +111,7 @@ def test_the_judged_critic_forgets_only_once_a_batch_and_bootstraps_on_itself():
     rng = np.random.default_rng(0)
     episodes = random_episodes(rng, (4, 6), *SIZES)
     belief = rng.dirichlet(np.ones(3), size=10)
-    histories = Histories(belief, belief[:2], single_cell(episodes))
+    histories = Histories(belief, belief[:2], one_cell(episodes))
     config, on_policy = ProximalConfig(critic_memory=0.5, return_decay=0.0), np.ones(10)
     old = Critic.begin(1, 3).fitted(histories, np.ones(10), 1.0, 1.0)
     critic, advantage = judged(old, episodes, histories, on_policy, config, discount=0.9, ridge=1.0)

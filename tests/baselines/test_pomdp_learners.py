@@ -5,9 +5,21 @@ import json
 import pytest
 
 from baselines.benchmarks import pomdp_learners
-from baselines.benchmarks.pomdp_learners import AGENTS, Goal, Records, Score, main, report, run
+from baselines.benchmarks.pomdp_learners import (
+    GOALS,
+    PARCELS,
+    Goal,
+    main,
+    recorded,
+    report,
+    run,
+    spec_of,
+)
+from baselines.benchmarks.run_records import Records, Score
+from bnprl_envs.memoryless import memoryless_joint_policy
 
 MAZE = "bnprl/NoisyMaze1D-v0"
+AGENTS = "actor-critic", "predictive-actor-critic"
 
 
 @pytest.mark.parametrize("agent", AGENTS)
@@ -50,7 +62,17 @@ def runs(monkeypatch):
 
 def test_finished_runs_are_not_run_again_and_a_torn_line_is(runs, tmp_path, capsys):
     path = tmp_path / "records.jsonl"
-    call = ["--environments", MAZE, "--seeds", "2", "--out", str(path), "--no-progress"]
+    call = [
+        "--agents",
+        *AGENTS,
+        "--environments",
+        MAZE,
+        "--seeds",
+        "2",
+        "--out",
+        str(path),
+        "--no-progress",
+    ]
     assert main(call) == 0
     assert runs == [(name, seed) for name in AGENTS for seed in (0, 1)]
     first = capsys.readouterr().out
@@ -64,10 +86,10 @@ def test_finished_runs_are_not_run_again_and_a_torn_line_is(runs, tmp_path, caps
 
 def test_a_run_to_other_goals_is_another(runs, monkeypatch, tmp_path):
     path = tmp_path / "records.jsonl"
-    Records(path).run("actor-critic", MAZE, 0)
+    recorded(Records(path), "actor-critic", MAZE, 0)
     monkeypatch.setitem(pomdp_learners.GOALS, MAZE, (Goal(20, 0.55),))
-    Records(path).run("actor-critic", MAZE, 0)
-    Records(path).run("actor-critic", MAZE, 0)
+    recorded(Records(path), "actor-critic", MAZE, 0)
+    recorded(Records(path), "actor-critic", MAZE, 0)
     assert len(runs) == 2
 
 
@@ -76,3 +98,10 @@ def test_a_file_of_something_else_is_refused(tmp_path):
     path.write_text('{"seed": 1}\n')
     with pytest.raises(ValueError, match=r"records\.jsonl:1: no record of a run"):
         Records(path)
+
+
+def test_the_best_memoryless_policy_of_the_unseen_file_is_the_goal():
+    model = spec_of(PARCELS).model()
+    assert model is not None
+    found = memoryless_joint_policy(model, restarts=5, seconds=None, seed=0).value
+    assert GOALS[PARCELS][0].value == pytest.approx(found, abs=1e-5)

@@ -1,0 +1,206 @@
+"""What learners share that act on beliefs about their history: acting, recording, saving."""
+
+from __future__ import annotations
+
+import abc
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bnprl_agents.agent import Agent, Metrics
+from bnprl_agents.discrete import DiscreteSpaces
+from bnprl_agents.episodes import BoolArray, EpisodeBatch, FloatArray, IntArray
+from bnprl_agents.policy_files import Arrays
+from bnprl_agents.recorder import EpisodeRecorder
+from bnprl_envs.model import TabularModel
+
+
+class PolicyState(NamedTuple):
+    """What `predict` remembers of n copies.
+
+    Attributes:
+        belief: (n, Z) belief after the last observation, a tuple of them for a team.
+        action: (n, N) last action indices.
+    """
+
+    belief: FloatArray | tuple[FloatArray, ...]
+    action: IntArray
+
+
+class HistoryAgent(Agent):
+    """Base of the learners whose agents act on a belief about their own history.
+
+    Subclasses say how beliefs begin, advance and choose, and how a batch of whole episodes changes
+    the policy (`learn`). One agent is a team of one.
+    """
+
+    def __init__(
+        self,
+        observation_space: Any,
+        action_space: Any,
+        config: Any = None,
+        *,
+        discount: float,
+        seed: int,
+    ) -> None:
+        super().__init__(observation_space, action_space, config, discount=discount, seed=seed)
+        self.spaces = DiscreteSpaces(observation_space, action_space)
+        n_agents = len(self.spaces.action_sizes)
+        self._recorder = EpisodeRecorder(n_agents)
+        self._belief: list[FloatArray] = []
+        self._seen = np.zeros((0, n_agents), dtype=np.int64)
+        self._alive = np.zeros(0, dtype=np.bool_)
+
+    @abc.abstractmethod
+    def learn(self, episodes: EpisodeBatch) -> Metrics:
+        """Improve the policy by a batch of episodes, and set the exploration."""
+
+    @property
+    @abc.abstractmethod
+    def batch_episodes(self) -> int:
+        """Episodes that one call of `learn` wants; the last of a budget may get fewer."""
+
+    @abc.abstractmethod
+    def sample(
+        self, model: TabularModel, *, episodes: int, horizon: int, rng: np.random.Generator
+    ) -> EpisodeBatch:
+        """Sample whole episodes of a model by the behaviour policy, compiled."""
+
+    @abc.abstractmethod
+    def begin(self, seen: IntArray) -> list[FloatArray]:
+        """Each agent's beliefs (n, Z) after the first observations (n, N)."""
+
+    @abc.abstractmethod
+    def advance(
+        self, beliefs: Sequence[FloatArray], actions: IntArray, seen: IntArray
+    ) -> list[FloatArray]:
+        """Each agent's beliefs (n, Z) after actions (n, N) and the observations that followed."""
+
+    @abc.abstractmethod
+    def policy_probabilities(
+        self, beliefs: Sequence[FloatArray], seen: IntArray
+    ) -> list[FloatArray]:
+        """Each agent's p(a | h), (n, A), by the learned policy; `seen` (n, N) came last."""
+
+    def behaviour_probabilities(self) -> list[FloatArray]:
+        """Each agent's p(a | h), (n, A), by the policy that explores, of the copies under way."""
+        return self.policy_probabilities(self._belief, self._seen)
+
+    def check_reward(self, smallest: float) -> None:
+        """Check that the learner can use rewards down to this one; it can, unless overridden."""
+
+    def reset(self, observation: Any, mask: BoolArray | None = None) -> None:
+        """Begin new episodes; see `Agent.reset`. The number of copies may change if all begin."""
+        seen = self.spaces.observations(observation)
+        begun = np.ones(len(seen), dtype=np.bool_) if mask is None else np.asarray(mask, bool)
+        if begun.shape != (len(seen),):
+            raise ValueError(f"mask: shape {begun.shape}, must be ({len(seen)},)")
+        first = self.begin(seen)
+        if len(seen) != len(self._alive):
+            if not begun.all():
+                raise ValueError(f"{len(seen)} copies, was {len(self._alive)}: reset all of them")
+            self._belief = [np.zeros_like(belief) for belief in first]
+            self._seen, self._alive = seen.copy(), begun.copy()
+        self._recorder.begin(begun)
+        self._seen[begun] = seen[begun]
+        self._alive |= begun
+        for belief, fresh in zip(self._belief, first, strict=True):
+            belief[begun] = fresh[begun]
+
+    def act(self, observation: Any) -> Any:
+        """Sample actions from the policy that explores; see `Agent.act`."""
+        self._require_alive()
+        chosen = np.stack([_sample(p, self.rng) for p in self.behaviour_probabilities()], axis=1)
+        return self.spaces.external_actions(chosen, observation)
+
+    def observe(
+        self, action: Any, reward: Any, observation: Any, terminated: Any, truncated: Any
+    ) -> None:
+        """Record one transition with its behaviour probability; see `Agent.observe`."""
+        self._require_alive()
+        actions, seen = self.spaces.actions(action), self.spaces.observations(observation)
+        rewards = self.spaces.reward(reward)
+        self.check_reward(float(rewards.min()))
+        ended = self.spaces.flag("terminated", terminated)
+        cut = self.spaces.flag("truncated", truncated)
+        copies = np.arange(len(actions))
+        behaviour = np.stack(
+            [p[copies, actions[:, n]] for n, p in enumerate(self.behaviour_probabilities())], axis=1
+        )
+        self._recorder.add(self._seen, actions, rewards, behaviour, seen, ended, cut)
+        self._belief = self.advance(self._belief, actions, seen)
+        self._seen = seen
+        self._alive = ~(ended | cut)
+
+    def update(self) -> Metrics:
+        """Learn once `batch_episodes` episodes are finished; see `Agent.update`."""
+        if self._recorder.n_finished < self.batch_episodes:
+            return {}
+        return self.learn(self._recorder.take())
+
+    def finish(self) -> Metrics:
+        """Learn from the finished episodes, fewer than a batch; see `Agent.finish`."""
+        return self.learn(self._recorder.take()) if self._recorder.n_finished else {}
+
+    def predict(
+        self,
+        observation: Any,
+        state: PolicyState | None = None,
+        episode_start: Any = None,
+        deterministic: bool = False,
+    ) -> tuple[Any, PolicyState]:
+        """Act on the beliefs; see `Agent.predict`."""
+        seen = self.spaces.observations(observation)
+        beliefs = self._predicted_beliefs(seen, state, episode_start)
+        chosen = np.stack(
+            [
+                p.argmax(axis=1) if deterministic else _sample(p, self.predict_rng)
+                for p in self.policy_probabilities(beliefs, seen)
+            ],
+            axis=1,
+        )
+        kept = beliefs[0] if len(beliefs) == 1 else tuple(beliefs)
+        return self.spaces.external_actions(chosen, observation), PolicyState(kept, chosen)
+
+    def _predicted_beliefs(
+        self, seen: IntArray, state: PolicyState | None, episode_start: Any
+    ) -> list[FloatArray]:
+        begun = self.begin(seen)
+        if state is None:
+            return begun
+        fresh = np.zeros(len(seen), dtype=np.bool_)
+        if episode_start is not None:
+            fresh |= np.asarray(episode_start, dtype=np.bool_)
+        last = (state.belief,) if isinstance(state.belief, np.ndarray) else state.belief
+        return [
+            np.where(fresh[:, None], first, after)
+            for first, after in zip(begun, self.advance(last, state.action, seen), strict=True)
+        ]
+
+    def state_arrays(self) -> Arrays:
+        """Beliefs and what is recorded."""
+        arrays: Arrays = {"seen": self._seen, "alive": self._alive}
+        arrays |= {f"belief_{n}": belief for n, belief in enumerate(self._belief)}
+        return arrays | self._recorder.state_arrays()
+
+    def restore(self, arrays: Arrays, counters: dict[str, Any]) -> None:
+        """Take over a saved state; see `Agent.restore`."""
+        team = range(len(self.spaces.action_sizes))
+        self._belief = [arrays[f"belief_{n}"] for n in team if f"belief_{n}" in arrays]
+        self._seen, self._alive = arrays["seen"], arrays["alive"]
+        self._recorder.restore(arrays)
+
+    def _require_alive(self) -> None:
+        if not self._alive.size or not self._alive.all():
+            raise RuntimeError(
+                "an episode has ended or none has begun: call reset(observation, mask) first"
+            )
+
+
+def _sample(probabilities: FloatArray, rng: np.random.Generator) -> IntArray:
+    """Draw one index a row of (n, A)."""
+    cumulative = np.cumsum(probabilities, axis=1)
+    uniform = rng.random(len(cumulative))[:, None] * cumulative[:, -1:]
+    index: IntArray = np.argmax(cumulative > uniform, axis=1)
+    return index
