@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import copy
+import functools
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
@@ -41,6 +43,7 @@ class Evaluation:
     Attributes:
         returns: (n,) discounted return of each episode.
         lengths: (n,) steps of each episode.
+        rewards: (n,) sum of each episode's rewards, not discounted.
         exact: expected discounted return over an infinite horizon, computed from the model; None
             where there is no model, or the policy is neither a controller nor greedy by values of
             states that it sees.
@@ -48,6 +51,7 @@ class Evaluation:
 
     returns: FloatArray
     lengths: IntArray
+    rewards: FloatArray
     exact: float | None = None
 
 
@@ -98,7 +102,7 @@ def _simulate_belief(
     from bnprl_agents.belief.rollout import belief_rollout  # imports numba
 
     batch = belief_rollout(model, policy, episodes=episodes, horizon=horizon, rng=rng)
-    return Evaluation(batch.returns(model.discount), np.diff(batch.offsets))
+    return Evaluation(batch.returns(model.discount), batch.lengths, batch.returns(1.0))
 
 
 def _simulate_compiled(
@@ -107,16 +111,13 @@ def _simulate_compiled(
     from bnprl_agents.controllers.scoring import simulated_returns  # imports numba
     from bnprl_agents.controllers.value import controller_value
 
-    returns, lengths = simulated_returns(
-        model,
-        controllers,
-        episodes=episodes,
-        horizon=horizon,
-        discount=model.discount,
-        rng=rng,
+    simulate = functools.partial(
+        simulated_returns, model, controllers, episodes=episodes, horizon=horizon
     )
+    rewards, _ = simulate(discount=1.0, rng=copy.deepcopy(rng))  # of the same episodes
+    returns, lengths = simulate(discount=model.discount, rng=rng)
     exact = controller_value(model, controllers, model.discount) if model.discount < 1.0 else None
-    return Evaluation(returns, lengths, exact)
+    return Evaluation(returns, lengths, rewards, exact)
 
 
 def _greedy_value(policy: Any, model: TabularModel | None, deterministic: bool) -> float | None:
@@ -142,8 +143,9 @@ def _simulate(
     quota[: episodes % copies] += 1
     row = np.cumsum(quota) - quota  # where each copy writes its next episode
     end = row + quota
-    returns, lengths = np.zeros(episodes), np.zeros(episodes, dtype=np.int64)
-    value, weight, elapsed = np.zeros(copies), np.ones(copies), np.zeros(copies, dtype=np.int64)
+    returns, rewards = np.zeros(episodes), np.zeros(episodes)
+    lengths, elapsed = np.zeros(episodes, dtype=np.int64), np.zeros(copies, dtype=np.int64)
+    value, total, weight = np.zeros(copies), np.zeros(copies), np.ones(copies)
     state, begun = None, np.ones(copies, dtype=np.bool_)
     with (
         contextlib.closing(environment.make_vec(copies)) as env,
@@ -155,16 +157,19 @@ def _simulate(
             action, state = policy.predict(observation, state, begun, deterministic)
             observation, reward, terminated, truncated, _ = env.step(action)
             value += weight * reward
+            total += reward
             weight *= discount
             elapsed += 1
             begun = terminated | truncated
             if begun.any():
                 counted = begun & (row < end)
-                returns[row[counted]], lengths[row[counted]] = value[counted], elapsed[counted]
+                ends = row[counted]
+                returns[ends], rewards[ends] = value[counted], total[counted]
+                lengths[ends] = elapsed[counted]
                 row[counted] += 1
-                value[begun], weight[begun], elapsed[begun] = 0.0, 1.0, 0
+                value[begun], total[begun], weight[begun], elapsed[begun] = 0.0, 0.0, 1.0, 0
                 observation, _ = env.reset(options={"reset_mask": begun})
-    return Evaluation(returns, lengths)
+    return Evaluation(returns, lengths, rewards)
 
 
 def _check_spaces(policy: Any, env: AnyVectorEnv) -> None:

@@ -248,6 +248,8 @@ class _Course:
             exact_value=None if result.exact is None else float(result.exact),
             metrics=_finite(metrics),
             final=final,
+            reward_mean=float(result.rewards.mean()),
+            train_reward=progress.reward,
         )
         self._log.append(record)
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import io
 import zlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -16,16 +17,20 @@ from baselines.statistics import mean_band
 
 INK, PAPER = "#1f2328", "#ffffff"
 COLUMNS = 3
+X_LABELS = {"steps": "environment steps of training", "episodes": "episodes of training"}
 LARGEST = 1e12
 """Beyond, a diverging line is cut off at the top of the axes."""
 
 
-def draw(reproduction: Reproduction, lines: Sequence[Lines]) -> bytes:
-    """Return the picture (PNG).
+def draw(
+    reproduction: Reproduction, lines: Sequence[Lines], tables: Sequence[Mapping[str, Any]]
+) -> bytes:
+    """Return the picture (PNG) of curves.
 
     Args:
         reproduction: what the panels are called.
         lines: of each panel.
+        tables: of each panel its rows, whose references are drawn where they are near the curves.
     """
     n = len(reproduction.panels)
     columns = min(n, COLUMNS)
@@ -36,16 +41,87 @@ def draw(reproduction: Reproduction, lines: Sequence[Lines]) -> bytes:
     every = figure.subplots(rows, columns, squeeze=False).ravel()
     for axes in every[n:]:
         axes.set_visible(False)
-    for axes, panel, found in zip(every, reproduction.panels, lines, strict=False):
+    for axes, panel, found, table in zip(every, reproduction.panels, lines, tables, strict=False):
         draw_panel(axes, panel, found)
+        _draw_references(axes, [row for row in table["rows"] if row["source"] is not None])
     figure.suptitle(reproduction.title, color=INK, fontsize=13)
+    return _png(figure)
+
+
+def _draw_references(axes: Axes, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Draw horizontal lines with their names, those far from the curves left out."""
+    low, high = axes.get_ylim()
+    room = 0.5 * (high - low)
+    for row in rows:
+        if low - room <= row["mean"] <= high + room and not (
+            axes.get_yscale() == "log" and row["mean"] <= 0.0
+        ):
+            axes.axhline(row["mean"], color=INK, linewidth=0.9, linestyle=(0, (1, 2)), alpha=0.75)
+            axes.annotate(
+                row["agent"],
+                (0.005, row["mean"]),
+                xycoords=("axes fraction", "data"),
+                va="bottom",
+                fontsize=6.5,
+                color=INK,
+            )
+
+
+def draw_table(reproduction: Reproduction, tables: Sequence[Mapping[str, Any]]) -> bytes:
+    """Return the picture (PNG) of last values side by side, references below contenders.
+
+    Args:
+        reproduction: what the whole is called.
+        tables: of each panel its title, its measure and its rows.
+    """
+    tallest = max(len(panel["rows"]) for panel in tables)
+    columns = min(len(tables), COLUMNS)
+    rows = -(-len(tables) // columns)
+    figure = Figure(
+        figsize=(5.2 * columns, rows * (1.3 + 0.27 * tallest)),
+        facecolor=PAPER,
+        layout="constrained",
+    )
+    every = figure.subplots(rows, columns, squeeze=False).ravel()
+    for axes in every[len(tables) :]:
+        axes.set_visible(False)
+    for axes, panel in zip(every, tables, strict=False):
+        _draw_values(axes, panel["rows"])
+        axes.set_title(panel["title"], color=INK, fontsize=11)
+        axes.set_xlabel(panel["measure"])
+    figure.suptitle(reproduction.title, color=INK, fontsize=13)
+    return _png(figure)
+
+
+def _draw_values(axes: Axes, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Draw one mean a line with its interval; references are hollow."""
+    for y, row in enumerate(rows):
+        known = row["source"] is not None
+        colour = INK if known else COLOURS[y % len(COLOURS)]
+        if row["ci_low"] is not None:
+            axes.plot([row["ci_low"], row["ci_high"]], [y, y], color=colour, linewidth=2.5)
+        axes.plot(
+            row["mean"],
+            y,
+            "D" if known else "o",
+            color=colour,
+            markerfacecolor=PAPER if known else colour,
+            markersize=6,
+        )
+    dress(axes, INK, PAPER)
+    labels = [row["agent"] for row in rows]
+    axes.set_yticks(range(len(rows)), labels, fontsize=8, color=INK)
+    axes.set_ylim(len(rows) - 0.4, -0.6)
+
+
+def _png(figure: Figure) -> bytes:
     picture = io.BytesIO()
     figure.savefig(picture, format="png", dpi=130, metadata={"Software": None})
     return picture.getvalue()
 
 
 def draw_panel(axes: Axes, panel: Comparison | Computation, lines: Lines) -> None:
-    """Draw the lines of a panel and its references."""
+    """Draw the lines of a panel."""
     for index, (label, (x, y)) in enumerate(lines.items()):
         colour = COLOURS[index % len(COLOURS)]
         seed = zlib.crc32(label.encode())
@@ -62,14 +138,14 @@ def draw_panel(axes: Axes, panel: Comparison | Computation, lines: Lines) -> Non
             markersize=5,
             markevery=max(1, len(x) // 8),
         )
-    for reference in panel.references:
-        axes.axhline(reference.value, color=INK, linewidth=0.9, linestyle=(0, (1, 2)), alpha=0.75)
     dress(axes, INK, PAPER)
     axes.set_title(panel.title, color=INK, fontsize=11)
     if panel.logarithmic:
         axes.set_yscale("log")
     axes.set_ylabel(panel.y if isinstance(panel, Computation) else panel.measure.label)
-    axes.set_xlabel(panel.x if isinstance(panel, Computation) else "environment steps of training")
+    axes.set_xlabel(panel.x if isinstance(panel, Computation) else X_LABELS[panel.x])
+    if isinstance(panel, Comparison) and panel.logarithmic_x:
+        axes.set_xscale("log")
     axes.xaxis.set_major_formatter(lambda value, _: thousands(value))
     if lines:
         axes.legend(frameon=False, fontsize=8, labelcolor=INK)

@@ -52,6 +52,10 @@ class Record:
         exact_value: the policy's exact value, None where the model is not known.
         metrics: what the learner reported last.
         final: whether this is the run's last line; a run without one is not finished.
+        reward_mean: mean of the evaluation episodes' sums of rewards, not discounted; None in
+            records of earlier versions.
+        train_reward: sum of the rewards earned in training so far, exploration included; None
+            where nobody counted.
     """
 
     contender: str
@@ -67,6 +71,8 @@ class Record:
     exact_value: float | None
     metrics: dict[str, float]
     final: bool
+    reward_mean: float | None = None
+    train_reward: float | None = None
 
     def line(self) -> bytes:
         """Return the record as one line of JSON."""
@@ -210,6 +216,10 @@ def _is_number(value: Any) -> bool:
     return abs(value) < 1e300 and math.isfinite(value)
 
 
+def _is_number_or_null(value: Any) -> bool:
+    return value is None or _is_number(value)
+
+
 def _is_metrics(value: Any) -> bool:
     return isinstance(value, dict) and all(_is_number(number) for number in value.values())
 
@@ -225,15 +235,18 @@ _CHECKS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "return_std": (_is_number, "a finite number"),
     "length_mean": (_is_number, "a finite number"),
     "eval_episodes": (_is_count, "a count"),
-    "exact_value": (lambda value: value is None or _is_number(value), "a finite number or null"),
+    "exact_value": (_is_number_or_null, "a finite number or null"),
     "metrics": (_is_metrics, "an object of finite numbers"),
     "final": (lambda value: isinstance(value, bool), "true or false"),
+    "reward_mean": (_is_number_or_null, "a finite number or null"),
+    "train_reward": (_is_number_or_null, "a finite number or null"),
 }
 
 
 def _record(value: Any, where: str) -> Record:
     if not isinstance(value, dict):
         raise RecordError(f"{where}: not a record")
+    value = {"reward_mean": None, "train_reward": None} | value
     for key in value.keys() ^ _CHECKS.keys():
         raise RecordError(f"{where}: key {key!r} {'is unknown' if key in value else 'is missing'}")
     for key, (check, wanted) in _CHECKS.items():

@@ -31,15 +31,15 @@ def reproduce(options: Reproduce, given: Sequence[str]) -> int:
         reproduction = find(options.name)
         folder = options.out or Path("results") / (options.name + "-quick" * options.quick)
         for panel in reproduction.panels:
-            if isinstance(panel, Comparison):
-                _check(panel.sized(options.quick))
+            for experiment in _experiments(panel, options.quick).values():
+                _check(experiment)
     failed = 0
     for panel in reproduction.panels:
-        if isinstance(panel, Comparison):
+        for name, experiment in _experiments(panel, options.quick).items():
             print(f"== {panel.title}", flush=True)
             failed |= conduct(
-                panel.sized(options.quick),
-                folder / panel.name,
+                experiment,
+                folder / name,
                 given,
                 jobs=options.jobs,
                 engine=options.engine,
@@ -48,6 +48,10 @@ def reproduce(options: Reproduce, given: Sequence[str]) -> int:
     folder.mkdir(parents=True, exist_ok=True)
     write(options.name, reproduction, folder, options.quick)
     return failed
+
+
+def _experiments(panel: Comparison | Computation, quick: bool) -> dict[str, Experiment]:
+    return panel.sized(quick) if isinstance(panel, Comparison) else {}
 
 
 def _check(experiment: Experiment) -> None:
@@ -65,21 +69,30 @@ def write(name: str, reproduction: Reproduction, folder: Path, quick: bool) -> N
         RecordError: records are damaged.
         OSError: the folder cannot be written.
     """
-    from baselines.figures import draw  # imports matplotlib
+    from baselines.figures import draw, draw_table  # imports matplotlib
 
     lines = [panel_lines(panel, folder, quick) for panel in reproduction.panels]
     tables: list[dict[str, Any]] = [
-        {"name": panel.name, "title": panel.title, "measure": _label(panel), "rows": rows}
+        {
+            "name": panel.name,
+            "title": panel.title,
+            "measure": _label(panel),
+            "x": panel.x,
+            "rows": panel_rows(panel, found, quick),
+        }
         for panel, found in zip(reproduction.panels, lines, strict=True)
-        for rows in [panel_rows(panel, found, quick)]
     ]
     values = {"experiment": name, "title": reproduction.title, "quick": quick, "panels": tables}
     write_atomic(folder / "summary.json", json.dumps(values, indent=2, allow_nan=False) + "\n")
     write_atomic(folder / "summary.md", markdown(reproduction, tables, quick))
-    write_atomic(folder / "figure.png", draw(reproduction, lines))
+    picture = draw_table(reproduction, tables) if _is_table(reproduction) else None
+    write_atomic(folder / "figure.png", picture or draw(reproduction, lines, tables))
     for panel in tables:
         print(f"== {panel['title']}: {panel['measure']}")
-        print_table(cells(panel["rows"]))
+        print_table(cells(panel["rows"], panel["x"]))
+    if _is_table(reproduction):
+        print(f"== {reproduction.title}")
+        print_table(side_by_side(tables))
     print(f"figure: {folder / 'figure.png'}")
 
 
@@ -87,34 +100,40 @@ def panel_lines(panel: Comparison | Computation, folder: Path, quick: bool) -> L
     """Return what a panel draws: the measure of each contender's runs, or what is computed."""
     if isinstance(panel, Computation):
         return panel.compute(quick)
-    runs = finished_runs(read_runs(panel.sized(quick), folder / panel.name))
-    found = {name: _curves(finished, panel.measure) for name, finished in runs.items() if finished}
-    return {name: curve for name, curve in found.items() if curve is not None}
+    found = {}
+    for name, experiment in panel.sized(quick).items():
+        for contender, runs in finished_runs(read_runs(experiment, folder / name)).items():
+            curve = _curves(runs, panel.x, panel.measure) if runs else None
+            if curve is not None:
+                found[contender] = curve
+    return found
 
 
-def _curves(runs: Sequence[Sequence[Record]], measure: Measure) -> Any:
-    """Return steps (points,) and the measure (runs, points), on one grid."""
+def _curves(runs: Sequence[Sequence[Record]], x: str, measure: Measure) -> Any:
+    """Return steps or episodes (points,) and the measure (runs, points), on one grid."""
     from baselines.curves import newest, on_one_grid
 
     known = [newest([r for r in run if measure.of(r) is not None]) for run in runs]
     if not all(known):
         return None
-    return on_one_grid(known, "steps", lambda record: measure.of(record) or 0.0)
+    return on_one_grid(known, x, lambda record: measure.of(record) or 0.0)
 
 
 def panel_rows(panel: Comparison | Computation, lines: Lines, quick: bool) -> list[Row]:
     """Return the rows of a panel's table: the last values, then references."""
-    rows = [_row(label, y[:, -1]) for label, (_, y) in lines.items()]
-    rows += [
-        _row(reference.name, np.array([reference.value])) | {"source": reference.source}
-        for reference in panel.references
+    rows = [_row(label, y[:, -1]) | {"x": float(x[-1])} for label, (x, y) in lines.items()]
+    known = [(reference.name, reference.value, reference.source) for reference in panel.references]
+    if isinstance(panel, Comparison):
+        if panel.computed is not None:
+            known += [(found.name, found.value, found.source) for found in panel.computed()]
+        if panel.measure.label.endswith("discounted return"):
+            environment = panel.experiment.environment
+            known += [
+                (row["agent"], row["mean"], row["source"]) for row in reference_rows(environment)
+            ]
+    return rows + [
+        _row(name, np.array([value])) | {"source": source} for name, value, source in known
     ]
-    if isinstance(panel, Comparison) and panel.measure.label.endswith("discounted return"):
-        known = reference_rows(panel.sized(quick).environment)
-        rows += [
-            _row(row["agent"], np.array([row["mean"]])) | {"source": row["source"]} for row in known
-        ]
-    return rows
 
 
 def _row(label: str, values: Any) -> Row:
@@ -126,13 +145,14 @@ def _row(label: str, values: Any) -> Row:
         "ci_high": interval.high,
         "median": float(np.median(values)),
         "seeds": len(values),
+        "x": None,
         "source": None,
     }
 
 
-def cells(rows: Sequence[Row]) -> list[list[str]]:
-    """Return the cells of a table, header first, as people read them."""
-    header = ["agent", "mean", "95% interval", "median", "seeds"]
+def cells(rows: Sequence[Row], x: str) -> list[list[str]]:
+    """Return the cells of a panel's table, header first, as people read them."""
+    header = ["agent", "mean", "95% interval", "median", "seeds", x]
     return [header, *(_cells(row) for row in rows)]
 
 
@@ -145,20 +165,53 @@ def _cells(row: Row) -> list[str]:
         DASH if row["ci_low"] is None else f"{low} to {high}",
         DASH if reference else number(row["median"], ".4g"),
         DASH if reference else number(row["seeds"], ",.0f"),
+        number(row["x"], ",.0f"),
     ]
+
+
+def side_by_side(tables: Sequence[Mapping[str, Any]]) -> list[list[str]]:
+    """Return all panels in one table: a row each, first the contenders, then the references."""
+    of_panel = [{row["agent"]: row for row in panel["rows"]} for panel in tables]
+    every = [row for panel in tables for row in panel["rows"]]
+    ours = [row["agent"] for row in every if row["source"] is None]
+    known = [row["agent"] for row in every if row["source"] is not None]
+    columns = list(dict.fromkeys(ours + known))
+    body = [
+        [panel["title"], *(_value(rows.get(column)) for column in columns)]
+        for panel, rows in zip(tables, of_panel, strict=True)
+    ]
+    return [["", *columns], *body]
+
+
+def _value(row: Row | None) -> str:
+    """Return a mean with half the width of its interval, as far as there are any."""
+    if row is None:
+        return DASH
+    if row["ci_low"] is None:
+        return number(row["mean"], ".4g")
+    return f"{number(row['mean'], '.4g')} ± {(row['ci_high'] - row['ci_low']) / 2:.2g}"
 
 
 def markdown(reproduction: Reproduction, tables: Sequence[Mapping[str, Any]], quick: bool) -> str:
     """Return the whole as Markdown."""
     size = " (quick size: far fewer seeds and steps)" if quick else ""
     text = [f"# {reproduction.title}{size}", "", "![figure](figure.png)", ""]
+    if _is_table(reproduction):
+        text += [*_markdown_table(side_by_side(tables)), ""]
     for panel in tables:
-        header, *body = cells(panel["rows"])
-        numbers = "|".join([" :--- ", *[" ---: "] * (len(header) - 1)])
-        lines = [f"| {' | '.join(line)} |" for line in (header, *body)]
-        lines.insert(1, f"|{numbers}|")
+        lines = _markdown_table(cells(panel["rows"], panel["x"]))
         text += [f"## {panel['title']}: {panel['measure']}", "", *lines, ""]
     return "\n".join([*text, *(f"{note}\n" for note in reproduction.notes)])
+
+
+def _markdown_table(rows: Sequence[Sequence[str]]) -> list[str]:
+    numbers = "|".join([" :--- ", *[" ---: "] * (len(rows[0]) - 1)])
+    lines = [f"| {' | '.join(line)} |" for line in rows]
+    return [lines[0], f"|{numbers}|", *lines[1:]]
+
+
+def _is_table(reproduction: Reproduction) -> bool:
+    return reproduction.shape == "table"
 
 
 def _label(panel: Comparison | Computation) -> str:

@@ -15,7 +15,7 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -46,6 +46,12 @@ class Measure:
 RETURN = Measure("mean discounted return", lambda record: record.return_mean)
 EXACT = Measure("exact discounted return", lambda record: record.exact_value)
 LENGTH = Measure("mean steps of an episode", lambda record: record.length_mean)
+SECONDS = Measure("seconds of training", lambda record: record.train_seconds)
+EARNED = Measure("sum of rewards while learning", lambda record: record.train_reward)
+REWARD_PER_STEP = Measure(
+    "mean reward per step",
+    lambda record: None if record.reward_mean is None else record.reward_mean / record.length_mean,
+)
 
 
 def learner_metric(label: str, name: str) -> Measure:
@@ -64,8 +70,13 @@ class Comparison:
         quick: fields of the experiment -> their values with --quick, which should take two minutes
             on two cores for all panels together.
         measure: what is drawn and tabulated.
+        slow: contenders that get fewer seeds or steps than the others; tables say how many.
+        slow_quick: fields of that experiment -> their values with --quick.
         references: numbers to hold it against: the source's, best known ones.
+        computed: returns more of them, where finding them takes a moment.
+        x: what the horizontal axis counts.
         logarithmic: the axis of the measure.
+        logarithmic_x: the horizontal axis.
     """
 
     name: str
@@ -73,15 +84,26 @@ class Comparison:
     experiment: Experiment
     quick: Mapping[str, Any]
     measure: Measure = RETURN
+    slow: Experiment | None = None
+    slow_quick: Mapping[str, Any] = field(default_factory=dict)
     references: tuple[Reference, ...] = ()
+    computed: Callable[[], tuple[Reference, ...]] | None = None
+    x: Literal["steps", "episodes"] = "steps"
     logarithmic: bool = False
+    logarithmic_x: bool = False
 
     def __post_init__(self) -> None:
         check_name(self.name)
 
-    def sized(self, quick: bool) -> Experiment:
-        """Return the experiment in the size wanted."""
-        return dataclasses.replace(self.experiment, **self.quick) if quick else self.experiment
+    def sized(self, quick: bool) -> dict[str, Experiment]:
+        """Return the experiments in the size wanted, each by the name of its folder."""
+        sizes = [(self.name, self.experiment, self.quick)]
+        if self.slow is not None:
+            sizes.append((f"{self.name}-slow", self.slow, self.slow_quick))
+        return {
+            folder: dataclasses.replace(experiment, **changes) if quick else experiment
+            for folder, experiment, changes in sizes
+        }
 
 
 @dataclass(frozen=True)
@@ -115,11 +137,14 @@ class Reproduction:
         title: of the whole.
         panels: in the order of drawing.
         notes: what to know when reading it, one sentence or more each.
+        shape: "figure" draws each panel's curves. "table" makes one table, each panel a row and
+            each contender or reference a column, and draws the last values side by side.
     """
 
     title: str
     panels: tuple[Comparison | Computation, ...]
     notes: tuple[str, ...] = field(default=())
+    shape: Literal["figure", "table"] = "figure"
 
 
 def names() -> dict[str, Path]:

@@ -136,7 +136,7 @@ class SB3Learner:
         try:
             while share_left() > 0.0 and (steps is None or env.steps + size <= steps):
                 self._roll_out()
-                yield Progress(env.episodes, env.steps, self._metrics())
+                yield Progress(env.episodes, env.steps, self._metrics(), env.reward)
         finally:
             for model in self._models:
                 model.logger.close()

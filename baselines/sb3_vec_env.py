@@ -108,6 +108,7 @@ class SB3VecEnv(VecEnv):
         env: the vector environment.
         episodes: finished so far.
         steps: taken so far, over all copies; those of a team count once.
+        reward: earned so far, over all copies; that of a team counts once.
         recent: undiscounted return and length of the last episodes.
 
     Raises:
@@ -121,6 +122,7 @@ class SB3VecEnv(VecEnv):
         self.encoder = encoder
         self.episodes = 0
         self.steps = 0
+        self.reward = 0.0
         self.recent: deque[tuple[float, int]] = deque(maxlen=RECENT)
         self._stack = np.zeros((env.num_envs * encoder.rows, 0), dtype=np.float32)
         self._returns = np.zeros(env.num_envs)
@@ -149,6 +151,7 @@ class SB3VecEnv(VecEnv):
         observation, reward, terminated, truncated, _ = self.env.step(actions)
         self._stack = self.encoder.encode(observation, self._stack)
         self._returns += reward
+        self.reward += float(reward.sum())
         self._lengths += 1
         self.steps += self.env.num_envs
         done = terminated | truncated

@@ -34,11 +34,13 @@ class Progress:
         episodes: episodes finished so far.
         steps: environment steps taken so far, over all copies.
         metrics: what the last update reported; {} between updates.
+        reward: earned while learning, not discounted, over all steps; None where nobody counts.
     """
 
     episodes: int
     steps: int
     metrics: Metrics = field(default_factory=dict)
+    reward: float | None = None
 
 
 def train(
@@ -134,7 +136,7 @@ def _train_compiled(
     steps: int | None,
 ) -> Iterator[Progress]:
     rng = np.random.default_rng(seed)
-    done, taken = 0, 0
+    done, taken, earned = 0, 0, 0.0
     while (episodes is not None and done < episodes) or (steps is not None and taken < steps):
         wanted = agent.batch_episodes
         batch = agent.sample(
@@ -148,11 +150,12 @@ def _train_compiled(
             batch = batch.first(_fitting(batch, steps - taken))
         if batch.n_episodes:
             done, taken = done + batch.n_episodes, taken + batch.n_steps
-            yield Progress(done, taken, agent.learn(batch))
+            earned += float(batch.rewards.sum())
+            yield Progress(done, taken, agent.learn(batch), earned)
         if spent:
             break
     if not done:
-        yield Progress(0, 0)
+        yield Progress(0, 0, reward=0.0)
 
 
 def _fitting(batch: EpisodeBatch, steps: int) -> int:
@@ -169,7 +172,7 @@ def _train_stepwise(
 ) -> Iterator[Progress]:
     observation, _ = env.reset(seed=seed)
     agent.reset(observation)
-    done, taken = 0, 0
+    done, taken, earned = 0, 0, 0.0
     while (episodes is None or done < episodes) and (
         steps is None or taken + env.num_envs <= steps
     ):
@@ -178,13 +181,14 @@ def _train_stepwise(
         agent.observe(action, reward, observation, terminated, truncated)
         ended = terminated | truncated
         done, taken = done + int(ended.sum()), taken + env.num_envs
+        earned += float(np.sum(reward))
         metrics = agent.update()
         if metrics:
-            yield Progress(done, taken, metrics)
+            yield Progress(done, taken, metrics, earned)
         if ended.any():
             observation, _ = env.reset(options={"reset_mask": ended})
             agent.reset(observation, ended)
-    yield Progress(done, taken, agent.finish())
+    yield Progress(done, taken, agent.finish(), earned)
 
 
 def _train_values(

@@ -205,7 +205,7 @@ def test_the_compiled_path_uses_the_steps_budget_up_to_an_episode(steps):
 
 def test_a_budget_that_holds_no_episode_teaches_nothing():
     model = small_model().replace(terminal=[False, False])
-    assert compiled(model, small_agent(), steps=19) == [Progress(0, 0)]
+    assert compiled(model, small_agent(), steps=19) == [Progress(0, 0, reward=0.0)]
 
 
 def test_negative_rewards_are_refused_before_anything_is_run():

@@ -64,7 +64,7 @@ def fake_evaluate(
     policy: Any, environment: EnvironmentSpec, *, episodes: int, seed: int
 ) -> Evaluation:
     returns = policy.level + np.random.default_rng(seed).normal(size=episodes)
-    return Evaluation(returns, np.full(episodes, 5))
+    return Evaluation(returns, np.full(episodes, 5), 5.0 * returns)
 
 
 def install(monkeypatch: Any) -> None:

@@ -9,7 +9,15 @@ from baselines import cli, reproduction
 from baselines.environment import EnvironmentSpec
 from baselines.experiment import Entry, Experiment
 from baselines.experiments.figure_3_3 import largest_values
-from baselines.reproduction import EXACT, LENGTH, Comparison, Computation, Reproduction
+from baselines.reproduction import (
+    EXACT,
+    LENGTH,
+    REWARD_PER_STEP,
+    Comparison,
+    Computation,
+    Reproduction,
+)
+from bnprl_envs.registry import Reference
 
 TINY = Reproduction(
     title="tiny",
@@ -64,8 +72,9 @@ def test_every_experiment_can_be_built_in_both_sizes(name):
     for panel in found.panels:
         if isinstance(panel, Comparison):
             for quick in (True, False):
-                for entry in panel.sized(quick).entries:
-                    entry.build_settings()
+                for experiment in panel.sized(quick).values():
+                    for entry in experiment.entries:
+                        entry.build_settings()
 
 
 def test_an_unknown_name(capsys):
@@ -95,8 +104,44 @@ def test_panels_are_run_resumed_and_reported(tmp_path, monkeypatch, capsys):
     text = (tmp_path / "summary.md").read_text()
     assert "# tiny (quick size" in text
     assert "| one | 4 |" in text
+    assert "| 300 |" in text  # steps used
     assert "a note" in text
     assert "figure: " in capsys.readouterr().out
+
+
+def test_a_table_has_a_row_for_each_environment(tmp_path, monkeypatch, capsys):
+    small = {"seeds": 2, "eval_points": 1, "eval_episodes": 5}
+    panels = tuple(
+        Comparison(
+            name,
+            name.title(),
+            Experiment(EnvironmentSpec(id), (Entry("random", "random", {}),), steps=200, seeds=9),
+            quick=small,
+            slow=Experiment(EnvironmentSpec(id), (Entry("late", "random", {}),), steps=100),
+            slow_quick=small | {"seeds": 1},
+            measure=REWARD_PER_STEP,
+            references=(Reference("the source's", 0.25, "a table"),),
+            computed=lambda name=name: (Reference(f"best on {name}", 0.5, "a search"),),
+        )
+        for name, id in (("maze", "bnprl/CheeseMaze-v0"), ("grid", "bnprl/Grid4x4-v0"))
+    )
+    tiny = Reproduction("tiny", panels, shape="table")
+    monkeypatch.setattr("baselines.reproduce.find", lambda name: tiny)
+    command = ["reproduce", "tiny", "--quick", "--out", str(tmp_path), "--jobs", "1"]
+    assert cli.main([*command, "--no-progress"]) == 0
+    maze, grid = json.loads((tmp_path / "summary.json").read_text())["panels"]
+    ours, late, *_ = maze["rows"]
+    assert (ours["agent"], ours["seeds"]) == ("random", 2)
+    assert 0.0 < late["x"] < ours["x"] <= 200.0
+    assert (late["agent"], late["seeds"], late["ci_low"]) == ("late", 1, None)
+    assert 0.0 < ours["mean"] < 0.25  # a reward of 1 at the goal, which is some steps away
+    assert [row["agent"] for row in grid["rows"][2:]] == ["the source's", "best on grid"]
+    text = (tmp_path / "summary.md").read_text()
+    assert "|  | random | late | the source's | best on maze | best on grid |" in text
+    (row,) = (line for line in text.splitlines() if line.startswith("| Maze |"))
+    assert " ± " in row
+    assert row.endswith("| 0.25 | 0.5 | – |")
+    assert (tmp_path / "figure.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_the_star_diverges_on_fixed_bases_only():
