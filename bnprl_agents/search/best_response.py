@@ -12,7 +12,7 @@ EXPLORATION = 0.2
 """Probability with which the responding agent acts uniformly at random."""
 TRUSTED = 3
 """Times that an action must have been tried in a node before it may be chosen there."""
-SEEDS = 128
+SEEDS = 256
 """Episodes from which a response is learned."""
 
 
@@ -22,8 +22,9 @@ def respond_in_turn(
     seeds: UInt64Array,
     discount: float,
     rng: np.random.Generator,
+    first: int = 0,
 ) -> DecisionTables:
-    """Let the agents respond to each other until no response is better.
+    """Let the agents respond to each other, from the first one on, until no response is better.
 
     A response is kept if it is better on the seeds, so that the value never falls. In a team whose
     agents share tables nobody can respond alone, and it comes back as it is.
@@ -32,7 +33,7 @@ def respond_in_turn(
     if team.action.shape[1] < n_agents:
         return team
     value = simulator.returns(team, seeds)[0].mean()
-    agent = refused = 0
+    agent, refused = first, 0
     while refused < n_agents:
         own = rng.integers(2**64, size=SEEDS, dtype=np.uint64)
         tried, earned = simulator.experience(team, agent, EXPLORATION, own)
@@ -76,7 +77,7 @@ def best_response(
     value = np.zeros(len(tried))
     for _ in range(horizon):
         ahead = value[team.successor[0, role, :-1]]
-        quality = reward + discount * np.einsum("zao,zo->za", chance, ahead)
+        quality = reward + discount * (chance @ ahead[..., None])[..., 0]
         quality[~trusted] = -np.inf
         value = np.where(decided, quality.max(axis=1), 0.0)
     action = team.action.copy()

@@ -20,8 +20,11 @@ from bnprl_agents.search.memory import MemoryShape, random_tables, remembering_m
 from bnprl_agents.search.moves import ACT, BRANCH, REDIRECT, apply_moves, list_moves
 from bnprl_agents.search.simulator import TeamSimulator, UInt64Array
 from bnprl_agents.search.tables import DecisionTables
+from bnprl_agents.search.walking import walk
 
-ACTIVITIES = ("explore", "refine", "polish")
+ACTIVITIES = ("explore", "walk", "refine", "polish")
+RIVALS = 3
+"""Memories of which the one whose walk stands best walks on."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +37,7 @@ class ControllerSearchConfig:
     """Longest period of the clock that a restart may remember."""
     widest_window: int = 2
     """Most observations that a restart may remember."""
-    explore_seeds: int = 128
+    explore_seeds: int = 256
     """Episodes on which the actions of a restart are climbed."""
     refine_seeds: int = 512
     """Episodes on which whole controllers are climbed."""
@@ -103,6 +106,7 @@ class ControllerSearch(ControllerAgent):
         sizes = (self.config.nodes, int(self.role_observations.max()))
         self.seen: BoolArray = np.zeros((len(members), sizes[1]), dtype=np.bool_)
         self.restarts = Leaderboard.empty(self.roles, *sizes)
+        self.walks = Leaderboard.empty(self.roles, *sizes)
         self.elites = Leaderboard.empty(self.roles, *sizes)
         self.spent = dict.fromkeys(ACTIVITIES, 0)
 
@@ -147,9 +151,13 @@ class ControllerSearch(ControllerAgent):
         if not self.seen.any():
             self._look_around(simulator)
         activity = self._next_activity()
-        {"explore": self._explore, "refine": self._refine, "polish": self._polish}[activity](
-            simulator, begin + steps - 2 * self.config.judge_seeds * simulator.horizon
-        )
+        act = {
+            "explore": self._explore,
+            "walk": self._walk,
+            "refine": self._refine,
+            "polish": self._polish,
+        }[activity]
+        act(simulator, begin + steps - 2 * self.config.judge_seeds * simulator.horizon)
         self.spent[activity] += simulator.steps - begin
         board = self.elites if self.elites.values.size else self.restarts
         self.controllers = board.teams.candidate(0).controllers(
@@ -164,6 +172,8 @@ class ControllerSearch(ControllerAgent):
 
     def _next_activity(self) -> str:
         possible = ["explore"]
+        if self.role_actions.size == self.roles.size:  # agents that share tables cannot respond
+            possible.append("walk")
         if self.restarts.values.size == self.config.candidates:
             possible.append("refine")
         if self.elites.values.size:
@@ -194,6 +204,25 @@ class ControllerSearch(ControllerAgent):
         team = self._climbed(simulator, team, (ACT,), self.config.explore_seeds, limit)
         value = self._judged(simulator, team, self.config.judge_seeds // 8)
         self.restarts = self.restarts.added(team, value, label, self.config.candidates)
+
+    def _walk(self, simulator: TeamSimulator, limit: int) -> None:
+        """Walk on within one memory; keep the best on the way if it is among the best restarts."""
+        known = self._shapes()
+        standing = np.full(len(known), np.inf)
+        standing[self.walks.labels] = self.walks.values
+        rivals = self.rng.choice(len(known), size=min(RIVALS, len(known)), replace=False)
+        label = int(rivals[standing[rivals].argmax()])
+        if np.isinf(standing[label]):
+            team = random_tables(
+                known[label], self.roles, self.role_actions, self.seen, self.config.nodes, self.rng
+            )
+        else:
+            team = self.walks.teams.candidate(int(np.flatnonzero(self.walks.labels == label)[0]))
+        seeds = self._seeds(self.config.explore_seeds)
+        here, best = walk(simulator, team, seeds, self.discount, self.rng)
+        self.walks = self.walks.moved(here.team, here.value, label)
+        value = self._judged(simulator, best.team, self.config.judge_seeds // 8)
+        self.restarts = self.restarts.added(best.team, value, label, self.config.candidates)
 
     def _refine(self, simulator: TeamSimulator, limit: int) -> None:
         """Climb everything of the best restart, which leaves the restarts."""
@@ -272,6 +301,7 @@ class ControllerSearch(ControllerAgent):
         """Controllers, teams, judging seeds and the observations met."""
         own = {"judges": self.judges, "met": self.seen}
         boards = self.restarts.state_arrays("restarts") | self.elites.state_arrays("elites")
+        boards |= self.walks.state_arrays("walks")
         return super().state_arrays() | own | boards
 
     def counters(self) -> dict[str, Any]:
@@ -283,6 +313,7 @@ class ControllerSearch(ControllerAgent):
         super().restore(arrays, counters)
         self.judges, self.seen = arrays["judges"], arrays["met"]
         self.restarts = self.restarts.restored("restarts", arrays)
+        self.walks = self.walks.restored("walks", arrays)
         self.elites = self.elites.restored("elites", arrays)
         self.spent = {name: int(counters["spent"][name]) for name in ACTIVITIES}
 

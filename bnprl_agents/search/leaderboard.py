@@ -52,6 +52,19 @@ class Leaderboard(NamedTuple):
             DecisionTables(team.roles, action[kept], successor[kept]),
         )
 
+    def moved(self, team: DecisionTables, value: float, label: int) -> Leaderboard:
+        """The board with this team in the place of any other of its label."""
+        others = self.labels != label
+        values = np.append(self.values[others], value)
+        order = np.argsort(-values, kind="stable")
+        action = np.concatenate([self.teams.action[others], team.action])
+        successor = np.concatenate([self.teams.successor[others], team.successor])
+        return Leaderboard(
+            values[order],
+            np.append(self.labels[others], label)[order],
+            DecisionTables(team.roles, action[order], successor[order]),
+        )
+
     def without(self, b: int) -> Leaderboard:
         """The board without one team."""
         kept = np.flatnonzero(np.arange(self.values.size) != b)

@@ -16,19 +16,27 @@ class MemoryShape(NamedTuple):
 
     A joint policy over such nodes is a memoryless one over what they remember. (1, 1) remembers
     the last observation; (2, 0) counts modulo 2 and sees nothing, as alternation needs; (3, 2)
-    acts three times on all that was seen since the period began and then forgets it.
+    acts three times on all that was seen since the period began and then forgets it. (6, 1, 0)
+    remembers the last observation and for how long observation 0 was not seen: agents that see
+    some event together keep their plans in step by such clocks.
 
     Attributes:
         period: length of the clock's period, at least 1. With 1 there is no clock and nothing is
             ever forgotten but by the window.
         window: how many of the last observations are remembered.
+        mark: of a clock that starts over whenever an observation is seen and else stops at the
+            end of its period: the observation's rank among those that the role may see, modulo
+            their number; -1 for a clock that goes round. The window is then 1.
     """
 
     period: int
     window: int
+    mark: int = -1
 
     def nodes(self, n_observations: int) -> int:
         """How many nodes it takes where n observations can be seen."""
+        if self.mark >= 0:
+            return 2 + (n_observations - 1) * (self.period - 1)
         if self.period == 1:
             return sum(n_observations**k for k in range(self.window + 1))
         return sum(n_observations ** min(phase, self.window) for phase in range(self.period))
@@ -37,13 +45,15 @@ class MemoryShape(NamedTuple):
 def shapes(
     n_observations: int, longest_period: int, widest_window: int, nodes: int
 ) -> list[MemoryShape]:
-    """Every shape within the bounds that takes at most so many nodes, without doubles."""
+    """Every shape within the bounds that takes at most so many nodes, without doubles.
+
+    Clocks with a mark have the longest period only.
+    """
+    rounds = itertools.product(range(1, longest_period + 1), range(widest_window + 1), (-1,))
+    marked = itertools.product((longest_period,), (1,), range(n_observations))
     return [
         shape
-        for shape in itertools.starmap(
-            MemoryShape,
-            itertools.product(range(1, longest_period + 1), range(widest_window + 1)),
-        )
+        for shape in itertools.starmap(MemoryShape, itertools.chain(rounds, marked))
         if shape.nodes(n_observations) <= nodes
         and (shape.period == 1 or shape.window < shape.period)
     ]
@@ -80,10 +90,14 @@ def _fill(successor: Int32Array, shape: MemoryShape, seen: list[int]) -> None:
     """Number the memories (phase, window) as they are reached, and link them."""
     numbers: dict[tuple[int, tuple[int, ...]], int] = {(0, ()): 0}
     waiting = list(numbers)
+    mark = seen[shape.mark % len(seen)] if shape.mark >= 0 else -1
     for phase, window in waiting:
-        later = (phase + 1) % shape.period
-        forgets = shape.window == 0 or (later == 0 and shape.period > 1)
         for o in seen:
+            if mark >= 0:
+                later, forgets = (0 if o == mark else min(phase + 1, shape.period - 1)), False
+            else:
+                later = (phase + 1) % shape.period
+                forgets = shape.window == 0 or (later == 0 and shape.period > 1)
             memory = (later, () if forgets else (*window, o)[-shape.window :])
             if memory not in numbers:
                 numbers[memory] = len(numbers)

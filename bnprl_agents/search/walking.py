@@ -1,0 +1,78 @@
+"""Iterated responses: one agent is disturbed, then all respond to each other again."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from bnprl_agents.search.best_response import respond_in_turn
+from bnprl_agents.search.simulator import TeamSimulator, UInt64Array
+from bnprl_agents.search.tables import DecisionTables
+
+ROUNDS = 16
+"""Disturbances of one walk."""
+CHANGES = 6
+"""Most actions that a disturbance changes."""
+
+
+class Found(NamedTuple):
+    """A team and its mean return on the seeds of a walk."""
+
+    team: DecisionTables
+    value: float
+
+
+def walk(
+    simulator: TeamSimulator,
+    team: DecisionTables,
+    seeds: UInt64Array,
+    discount: float,
+    rng: np.random.Generator,
+) -> tuple[Found, Found]:
+    """Disturb and respond, and go on from what is not clearly worse.
+
+    Responses stop where no agent gains alone. To leave such a place one agent changes some
+    actions, the others respond to that first, and it responds to them: plans change together. A
+    loss of an exponentially distributed number of standard errors, one on average, is accepted.
+
+    Returns:
+        Where the walk ended, and the best team on its way.
+    """
+    n_agents = team.roles.size
+
+    def responded(begun: DecisionTables, first: int) -> tuple[Found, float]:
+        after = respond_in_turn(simulator, begun, seeds, discount, rng, first)
+        returns = simulator.returns(after, seeds)[0]
+        return Found(after, float(returns.mean())), float(returns.std() / np.sqrt(seeds.size))
+
+    here, error = responded(team, 0)
+    best = here
+    for _ in range(ROUNDS):
+        agent = int(rng.integers(n_agents))
+        changed = disturbed(simulator, here.team, agent, seeds[:32], rng)
+        found, new_error = responded(changed, (agent + 1) % n_agents)
+        if found.value >= here.value - rng.exponential(error):
+            here, error = found, new_error
+        if here.value > best.value:
+            best = here
+    return here, best
+
+
+def disturbed(
+    simulator: TeamSimulator,
+    team: DecisionTables,
+    agent: int,
+    seeds: UInt64Array,
+    rng: np.random.Generator,
+) -> DecisionTables:
+    """The team with some actions of an agent drawn anew, most often in nodes that it visits."""
+    role = team.roles[agent]
+    arrivals = np.zeros(team.action.shape[2])
+    np.add.at(arrivals, team.successor[0, role], simulator.visits(team, seeds)[role])
+    share = np.sqrt(arrivals) / np.sqrt(arrivals).sum()
+    size = min(int(rng.integers(1, CHANGES, endpoint=True)), np.count_nonzero(share))
+    nodes = rng.choice(share.size, size=size, replace=False, p=share)
+    action = team.action.copy()
+    action[0, role, nodes] = rng.integers(simulator.action_sizes[agent], size=size)
+    return DecisionTables(team.roles, action, team.successor)
