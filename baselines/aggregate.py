@@ -20,7 +20,7 @@ from baselines.usage import usage_errors
 from bnprl_envs import registry
 
 if TYPE_CHECKING:
-    from baselines.cli import Aggregate
+    from baselines.options import Aggregate
 
 FloatArray = npt.NDArray[np.float64]
 Scores = dict[str, dict[str, FloatArray]]

@@ -20,7 +20,7 @@ from bnprl_envs import memoryless, planning, registry
 from bnprl_envs.model import TabularModel
 
 if TYPE_CHECKING:
-    from baselines.cli import Bounds
+    from baselines.options import Bounds
 
 FloatArray = npt.NDArray[np.float64]
 Progress = Callable[[float, float], None]

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import importlib
 import logging
 import os
 import signal
 import sys
 import threading
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import tyro
-from tyro.conf import Positional, arg
 
+from baselines import options
 from baselines.arguments import parse
 from baselines.usage import UsageError, usage_errors
 
@@ -34,212 +33,22 @@ DESCRIPTION = (
     "Each command has --help; --version shows the version."
 )
 
-Environment = Annotated[str, arg(metavar="ID")]
-Progress = Annotated[bool, arg(name="progress")]
 
-
-@dataclass(frozen=True)
-class ListNames:
-    """List what there is: environments, agents or ready-made experiments."""
-
-    what: Positional[Literal["envs", "agents", "experiments"]]
-    """What to list."""
-
-
-@dataclass(frozen=True)
-class Train:
-    """Train one agent in one environment.
-
-    The agent's settings are flags too: `bnprl train ID --agent NAME --help` shows them.
-    """
-
-    id: Positional[Environment]
-    """Environment id, or path of a .POMDP or .dpomdp file."""
-    agent: str
-    """Agent; `bnprl list agents` names them, MODULE:CLASS is one of your own."""
-    out: Path
-    """Folder for the records, the policy and the report."""
-    episodes: int | None = None
-    """Training episodes; give this or --steps."""
-    steps: int | None = None
-    """Environment steps of training; give this or --episodes."""
-    seed: int = 0
-    """Everything random is derived from it."""
-    eval_episodes: int = 1000
-    """Episodes of each evaluation."""
-    eval_points: int = 10
-    """Evaluations, evenly spread over the budget."""
-    tensorboard: bool = False
-    """Write evaluations and what learners report for TensorBoard, below the folder."""
-    progress: Progress = True
-    """Show a progress bar."""
-
-
-@dataclass(frozen=True)
-class Evaluate:
-    """Evaluate learned policies; the exact value too, where the model is known."""
-
-    target: Positional[Path]
-    """Folder that `train` or `compare` wrote, or a policy file."""
-    episodes: int = 1000
-    """Episodes for each policy."""
-    env: str | None = None
-    """Environment id or model file, for a policy file outside such a folder."""
-    agent: str | None = None
-    """MODULE:CLASS of the policies, where that is an agent of your own."""
-    seed: int = 0
-    """Everything random is derived from it."""
-    progress: Progress = True
-    """Show a progress bar."""
-
-
-@dataclass(frozen=True)
-class Compare:
-    """Compare agents head to head: equal budgets, several seeds, intervals, one report.
-
-    A command that was interrupted goes on when it is given again; agents and seeds can be added.
-    """
-
-    id: Positional[Environment]
-    """Environment id, or path of a .POMDP or .dpomdp file."""
-    agents: tuple[str, ...]
-    """Agents; `bnprl list agents` names them, MODULE:CLASS is one of your own."""
-    out: Path
-    """Folder for the records, the policies and the report."""
-    episodes: int | None = None
-    """Training episodes of each run; give this or --steps."""
-    steps: int | None = None
-    """Environment steps of each run; give this or --episodes."""
-    seeds: int = 5
-    """Runs of each agent."""
-    seed: int = 0
-    """Root from which the seeds of all runs are derived."""
-    set: tuple[str, ...] = ()
-    """Settings that differ from the defaults, as AGENT.FIELD=VALUE: online-em.reward_shift=10."""
-    jobs: int | None = None
-    """Runs at the same time; as many as cores if not given."""
-    eval_episodes: int = 1000
-    """Episodes of each evaluation."""
-    eval_points: int = 10
-    """Evaluations of each run, evenly spread over the budget."""
-    engine: Literal["joblib", "ray", "dask"] = "joblib"
-    """What spreads the runs: processes here, or a cluster of Ray or Dask."""
-    address: str | None = None
-    """Of a cluster that is there already and sees the same files; one is started if not given."""
-    tensorboard: bool = False
-    """Write evaluations and what learners report for TensorBoard, below the folder."""
-    progress: Progress = True
-    """Show a progress bar."""
-
-
-@dataclass(frozen=True)
-class Reproduce:
-    """Reproduce a table or figure of the source; `bnprl list experiments` names them.
-
-    A command that was interrupted goes on when it is given again.
-    """
-
-    name: Positional[str | None] = None
-    """Experiment; or give --all."""
-    all: bool = False
-    """Every experiment, one after the other, and one page about all of them."""
-    quick: bool = False
-    """Few seeds and steps: two minutes on two cores for each experiment."""
-    out: Path | None = None
-    """Folder for the records, the figure, the tables and the page; below results/ if not given."""
-    jobs: int | None = None
-    """Runs at the same time; as many as cores if not given."""
-    engine: Literal["joblib", "ray", "dask"] = "joblib"
-    """What spreads the runs: processes here, or a cluster of Ray or Dask."""
-    address: str | None = None
-    """Of a cluster that is there already and sees the same files; one is started if not given."""
-    progress: Progress = True
-    """Show a progress bar."""
-
-
-@dataclass(frozen=True)
-class Report:
-    """Make the tables, the curves and the page again from the records."""
-
-    folder: Positional[Path]
-    """Folder that `train`, `compare` or `reproduce` wrote."""
-
-
-@dataclass(frozen=True)
-class Aggregate:
-    """Join comparisons of several environments: normalised scores, profiles, who beats whom."""
-
-    folders: Positional[tuple[Path, ...]]
-    """Folders that `compare` or `reproduce` wrote, one environment each."""
-    out: Path
-    """Folder for the tables and the picture."""
-
-
-@dataclass(frozen=True)
-class Status:
-    """Show which runs are done, running, failed or still to come, and how long they will take."""
-
-    folder: Positional[Path]
-    """Folder that `train`, `compare` or `reproduce` wrote or is writing."""
-
-
-@dataclass(frozen=True)
-class Plot:
-    """Draw what a policy file holds: action values over the plane of the states, or controllers.
-
-    Controllers become graphs: nodes sized by occupancy and coloured by action, arrows coloured by
-    observation, weak ones hidden; below, nodes and exploration over learning.
-    """
-
-    file: Positional[Path]
-    """Policy file, below runs/ in a folder that `train`, `compare` or `reproduce` wrote."""
-    out: Path | None = None
-    """Picture (PNG); beside the policy file if not given."""
-    env: str | None = None
-    """Environment id, for a policy file outside such a folder."""
-
-
-@dataclass(frozen=True)
-class Bounds:
-    """Compute how good an answer can be: simple policies, upper and lower bounds of the optimum."""
-
-    id: Positional[Environment]
-    """Environment id, or path of a .POMDP or .dpomdp file."""
-    seconds: float = 10.0
-    """Time for each search: the point-based bound and each kind of memoryless policy."""
-    discount: float | None = None
-    """Factor of the returns, below 1; the model's own if not given."""
-    seed: int = 0
-    """Everything random is derived from it."""
-    progress: Progress = True
-    """Show a progress bar."""
-
-
-@dataclass(frozen=True)
-class Watch:
-    """Look at episodes: as text here, as a GIF, or in a window.
-
-    Beside the picture: the discounted return so far, and where a finite-state controller is.
-    """
-
-    id: Positional[Environment]
-    """Environment id, or path of a .POMDP or .dpomdp file."""
-    policy: Path | None = None
-    """Policy file that `train` or `compare` wrote; uniformly random actions if not given."""
-    gif: Path | None = None
-    """Write this animation instead of printing text."""
-    human: bool = False
-    """Show a window instead of printing text."""
-    belief: bool = False
-    """Show how likely each state is, given all that was seen so far (one agent, known model)."""
-    episodes: int = 1
-    """Episodes to watch."""
-    steps: int | None = None
-    """Steps of an episode to watch, at most; all if not given."""
-    seed: int = 0
-    """Everything random is derived from it."""
-    progress: Progress = True
-    """Show a progress bar while a GIF is made."""
+COMMANDS: dict[str, tuple[type[Any], str]] = {
+    "list": (options.ListNames, "commands:list_names"),
+    "train": (options.Train, "commands:train"),
+    "evaluate": (options.Evaluate, "evaluate:evaluate_policies"),
+    "compare": (options.Compare, "commands:compare"),
+    "reproduce": (options.Reproduce, "reproduce:reproduce"),
+    "report": (options.Report, "commands:report"),
+    "aggregate": (options.Aggregate, "aggregate:aggregate"),
+    "status": (options.Status, "status:status"),
+    "plot": (options.Plot, "plot:plot"),
+    "bounds": (options.Bounds, "bounds:print_bounds"),
+    "watch": (options.Watch, "watch:watch"),
+}
+"""Name -> what it takes, and "module:function" of what it does, imported when it is wanted."""
+RECORDING = (options.Train, options.Compare, options.Reproduce)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -290,35 +99,25 @@ def _version() -> int:
 
 
 def _parse(given: list[str]) -> Any:
-    commands: dict[str, type[Any]] = {
-        "list": ListNames,
-        "train": _train_with_settings(given) if given[:1] == ["train"] else Train,
-        "evaluate": Evaluate,
-        "compare": Compare,
-        "reproduce": Reproduce,
-        "report": Report,
-        "aggregate": Aggregate,
-        "status": Status,
-        "plot": Plot,
-        "bounds": Bounds,
-        "watch": Watch,
-    }
+    commands = {name: taken for name, (taken, _) in COMMANDS.items()}
+    if given[:1] == ["train"]:
+        commands["train"] = _train_with_settings(given)
     return parse(commands, DESCRIPTION, given)
 
 
-def _train_with_settings(given: list[str]) -> type[Train]:
+def _train_with_settings(given: list[str]) -> type[options.Train]:
     """Return `Train` with the settings of the agent that the arguments name."""
     flags = [*given, ""]
     names = [flags[i + 1] for i, flag in enumerate(given) if flag == "--agent"]
     names += [flag.removeprefix("--agent=") for flag in given if flag.startswith("--agent=")]
     if not names or not names[0]:
-        return Train
+        return options.Train
     from baselines.contenders import contender
 
     with usage_errors():
         settings = contender(names[0]).settings
     if not dataclasses.fields(settings):
-        return Train
+        return options.Train
     lenient = dataclasses.make_dataclass(  # values are checked later, to be refused in one line
         type(settings).__name__,
         [],
@@ -330,51 +129,19 @@ def _train_with_settings(given: list[str]) -> type[Train]:
     default = dataclasses.field(default=lenient(**vars(settings)))
     kind = Annotated[lenient, tyro.conf.OmitArgPrefixes]  # type: ignore[valid-type]
     made = dataclasses.make_dataclass(
-        "Train", [("settings", kind, default)], bases=(Train,), frozen=True
+        "Train", [("settings", kind, default)], bases=(options.Train,), frozen=True
     )
-    made.__doc__ = Train.__doc__
+    made.__doc__ = options.Train.__doc__
     return made
 
 
-def _run(command: Any, given: list[str]) -> int:
-    if isinstance(command, Bounds):
-        from baselines.bounds import print_bounds
-
-        return print_bounds(command)
-    if isinstance(command, Watch):
-        from baselines.watch import watch
-
-        return watch(command)
-    from baselines import commands  # imports the packages
-
-    if isinstance(command, Plot):
-        from baselines.plot import plot
-
-        return plot(command)
-    if isinstance(command, Aggregate):
-        from baselines.aggregate import aggregate
-
-        return aggregate(command)
-    if isinstance(command, Status):
-        from baselines.status import status
-
-        return status(command.folder)
-    if isinstance(command, Reproduce):
-        from baselines.reproduce import reproduce
-
-        return reproduce(command, given)
-
-    if isinstance(command, ListNames):
-        return commands.list_names(command.what)
-    if isinstance(command, Train):
-        return commands.train(command, given)
-    if isinstance(command, Compare):
-        return commands.compare(command, given)
-    if isinstance(command, Evaluate):
-        from baselines.evaluate import evaluate_policies
-
-        return evaluate_policies(command)
-    return commands.report(command.folder)
+def _run(chosen: Any, given: list[str]) -> int:
+    """Do the command that the options are of; what writes records keeps how it was given."""
+    target = next(do for taken, do in COMMANDS.values() if isinstance(chosen, taken))
+    module, name = target.split(":")
+    do = getattr(importlib.import_module(f"baselines.{module}"), name)
+    done: int = do(chosen, given) if isinstance(chosen, RECORDING) else do(chosen)
+    return done
 
 
 if __name__ == "__main__":

@@ -31,14 +31,15 @@ from bnprl_agents.controllers.learner import NegativeRewardError
 from bnprl_envs import registry
 
 if TYPE_CHECKING:
-    from baselines.cli import Compare, Reproduce, Train
+    from baselines.options import Compare, ListNames, Report, Reproduce, Train
 
 
 _log = logging.getLogger(__name__)
 
 
-def list_names(what: str) -> int:
+def list_names(options: ListNames) -> int:
     """Print the names of one kind with a line about each."""
+    what = options.what
     if what == "envs":
         rows = [(id, registry.entry(id).summary) for id in registry.environment_ids()]
     elif what == "agents":
@@ -234,10 +235,10 @@ def _name_idle(experiment: Experiment, folder: Path) -> None:
             )
 
 
-def report(folder: Path) -> int:
+def report(options: Report) -> int:
     """Make the report of a folder again, or those of the panels of a reproduction."""
     with usage_errors():
-        folders = study_folders(folder)
+        folders = study_folders(options.folder)
         for place in folders:
             load_study(place)
     for place in folders:

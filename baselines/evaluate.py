@@ -25,7 +25,7 @@ from baselines.usage import usage_errors
 from bnprl_agents.policy_files import PolicyFileError
 
 if TYPE_CHECKING:
-    from baselines.cli import Evaluate
+    from baselines.options import Evaluate
 
 _log = logging.getLogger(__name__)
 

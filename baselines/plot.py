@@ -13,7 +13,7 @@ from baselines.usage import usage_errors
 from bnprl_agents.value_learner import ValueAgent
 
 if TYPE_CHECKING:
-    from baselines.cli import Plot
+    from baselines.options import Plot
 
 COMPASS_WORLDS = ("bnprl/Gridworld-v0", "bnprl/PuddleWorld-v0")
 """Whose actions are moves to the north, south, east and west."""

@@ -28,7 +28,7 @@ from baselines.study import read_runs
 from baselines.usage import UsageError, usage_errors
 
 if TYPE_CHECKING:
-    from baselines.cli import Reproduce
+    from baselines.options import Reproduce
 
 Row = dict[str, Any]
 

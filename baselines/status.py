@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 from baselines.experiment import Experiment
 from baselines.records import Record, RecordError, RunFiles, is_being_written
@@ -11,15 +11,18 @@ from baselines.report import DASH, number, print_table
 from baselines.study import load_study, read_runs, study_folders
 from baselines.usage import usage_errors
 
+if TYPE_CHECKING:
+    from baselines.options import Status
+
 DONE, RUNNING, FAILED, STOPPED, WAITING = "done", "running", "failed", "stopped", "waiting"
 HEADER = ["run", "state", "share", "mean", "train seconds", "seconds left"]
 
 
-def status(folder: Path) -> int:
+def status(options: Status) -> int:
     """Print the state of every run below a folder; return 1 if one failed, else 0."""
     failures: list[RunFiles] = []
     with usage_errors(RecordError):
-        for place in study_folders(folder):
+        for place in study_folders(options.folder):
             experiment = load_study(place).experiment
             runs = read_runs(experiment, place)
             states = {files: _state(files, found.finished) for files, found in runs.items()}

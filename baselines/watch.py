@@ -25,7 +25,7 @@ from bnprl_envs.planning import belief_update
 from bnprl_envs.tables import FloatArray
 
 if TYPE_CHECKING:
-    from baselines.cli import Watch
+    from baselines.options import Watch
 
 
 @dataclass(frozen=True)
