@@ -26,6 +26,12 @@ except ImportError:  # not a POSIX system
     fcntl = None  # type: ignore[assignment]
 
 
+WINDOWS_DEVICES = {"CON", "PRN", "AUX", "NUL"} | {
+    f"{d}{i}" for d in ("COM", "LPT") for i in range(10)
+}
+"""Names that no file there may have, whatever follows a dot."""
+
+
 class RecordError(ValueError):
     """A file of an experiment's folder that is not what it should be: `FILE:LINE: reason`."""
 
@@ -264,11 +270,13 @@ def _record(value: Any, where: str) -> Record:
 
 
 def check_name(name: str) -> str:
-    """Return a name that may become a folder.
+    """Return a name that may become a folder, on every system.
 
     Raises:
         ValueError: it may not.
     """
+    if name.endswith(".") or name.partition(".")[0].upper() in WINDOWS_DEVICES:
+        raise ValueError(f"name {name!r}: Windows has no folder of this name")
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._+-]{0,99}", name):
         raise ValueError(f"name {name!r}: letters, digits and . _ + - only, at most 100")
     return name

@@ -125,7 +125,9 @@ def test_one_command_at_a_time_holds_a_folder(tmp_path: Path) -> None:
         pass
 
 
-@pytest.mark.parametrize("name", ["", "..", "a/b", "-x", "a\n", "x" * 101, ".hidden"])
+@pytest.mark.parametrize(
+    "name", ["", "..", "a/b", "-x", "a\n", "x" * 101, ".hidden", "nul", "Con.x", "a."]
+)
 def test_names_that_are_no_folders_are_refused(name: str) -> None:
     with pytest.raises(ValueError, match="name"):
         check_name(name)
