@@ -176,7 +176,7 @@ REPRODUCTION = Reproduction(
     ),
     notes=(
         "In the puddle world GPQ forgets (C shrinks before each measurement) and its prior mean is "
-        "not 0, which are not in the source. Without them, gpq-as-printed, all targets weigh alike, "
+        "not 0, which are not in the source. Without them, gpq-as-printed, all targets weigh alike "
         "and the first, bootstrapped from nothing, hold the values back: the discount is .99, and "
         "the goal 36 steps away.",
         "Every policy is evaluated greedily, apart from training.",
