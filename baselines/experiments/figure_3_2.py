@@ -57,15 +57,20 @@ DEEP_PENDULUM = (
     ),
     Entry("ppo", "ppo", {"n_envs": 8, "n_steps": 64, "batch_size": 128, "n_epochs": 10}),
 )
-GPQ_PUDDLES = {"bandwidth": [0.1], "budget": 400, "noise": 1.0}
+GPQ_PUDDLES = {"bandwidth": [0.1], "budget": 400}
 PUDDLES = (
     Entry(
         "gpq",
         "gpq",
-        GPQ_PUDDLES | {"forgetting": 0.98},
+        GPQ_PUDDLES
+        | {"noise": 1.0, "forgetting": 0.9, "prior_mean": -10.0, "exploration_exponent": 0.5},
     ),
-    Entry("gpq-optimistic", "gpq-optimistic", GPQ_PUDDLES | {"forgetting": 0.98}),
-    Entry("gpq-never-forgets", "gpq", GPQ_PUDDLES),
+    Entry(
+        "gpq-optimistic",
+        "gpq-optimistic",
+        GPQ_PUDDLES | {"noise": 0.03, "amplitude": 0.03, "forgetting": 0.98, "prior_mean": -30.0},
+    ),
+    Entry("gpq-as-printed", "gpq", GPQ_PUDDLES | {"noise": 1.0}),
     Entry(
         "tabular-q",
         "tabular-q",
@@ -74,7 +79,7 @@ PUDDLES = (
     Entry(
         "linear-q",
         "linear-q",
-        {"bases": 10, "bandwidth": [0.1], "rate_exponent": 0.1, "exploration_exponent": 0.3},
+        {"bases": 10, "bandwidth": [0.05], "rate_exponent": 0.1, "exploration_exponent": 0.3},
     ),
     Entry(
         "linear-q-worst",
@@ -118,12 +123,26 @@ REPRODUCTION = Reproduction(
             Experiment(
                 EnvironmentSpec("bnprl/InvertedPendulum-v0"),
                 PENDULUM,
-                steps=2000,
+                steps=1000,
                 seeds=20,
                 eval_episodes=100,
-                eval_points=10,
+                eval_points=5,
             ),
-            quick={"seeds": 2, "steps": 1000, "eval_points": 5, "eval_episodes": 10},
+            quick={"seeds": 2, "eval_episodes": 10},
+            measure=LENGTH,
+        ),
+        Comparison(
+            "pendulum-deep",
+            "Inverted pendulum, deep RL: longer, 3 seeds",
+            Experiment(
+                EnvironmentSpec("bnprl/InvertedPendulum-v0"),
+                DEEP_PENDULUM,
+                steps=8000,
+                seeds=3,
+                eval_episodes=100,
+                eval_points=8,
+            ),
+            quick={"seeds": 1, "steps": 3000, "eval_points": 3, "eval_episodes": 10},
             measure=LENGTH,
         ),
         Comparison(
@@ -133,46 +152,33 @@ REPRODUCTION = Reproduction(
                 EnvironmentSpec("bnprl/PuddleWorld-v0"),
                 PUDDLES,
                 steps=60_000,
-                seeds=20,
+                seeds=5,
                 eval_episodes=100,
-                eval_points=20,
+                eval_points=6,
             ),
-            quick={"seeds": 1, "steps": 8000, "eval_points": 4, "eval_episodes": 10},
+            quick={"seeds": 1, "steps": 5000, "eval_points": 2, "eval_episodes": 10},
             measure=RETURN,
         ),
         Comparison(
-            "pendulum-deep",
-            "Inverted pendulum, deep RL: 5 times the steps, 3 seeds",
-            Experiment(
-                EnvironmentSpec("bnprl/InvertedPendulum-v0"),
-                DEEP_PENDULUM,
-                steps=20_000,
-                seeds=3,
-                eval_episodes=100,
-                eval_points=20,
-            ),
-            quick={"seeds": 1, "steps": 3000, "eval_points": 3, "eval_episodes": 10},
-            measure=LENGTH,
-        ),
-        Comparison(
             "puddles-deep",
-            "Puddle world, deep RL: 3 seeds",
+            "Puddle world, deep RL: 2 seeds",
             Experiment(
                 EnvironmentSpec("bnprl/PuddleWorld-v0"),
                 DEEP_PUDDLES,
-                steps=60_000,
-                seeds=3,
+                steps=20_480,
+                seeds=2,
                 eval_episodes=100,
-                eval_points=10,
+                eval_points=5,
             ),
             quick={"seeds": 1, "steps": 4096, "eval_points": 2, "eval_episodes": 10},
             measure=RETURN,
         ),
     ),
     notes=(
-        "In the puddle world GPQ forgets (C shrinks by .98 before each measurement), which is not "
-        "in the source: without it, gpq-never-forgets, all targets weigh alike, and the first, "
-        "bootstrapped from nothing, hold the values back (discount .99, 36 steps to the goal).",
+        "In the puddle world GPQ forgets (C shrinks before each measurement) and its prior mean is "
+        "not 0, which are not in the source. Without them, gpq-as-printed, all targets weigh alike "
+        "and the first, bootstrapped from nothing, hold the values back: the discount is .99, and "
+        "the goal 36 steps away.",
         "Every policy is evaluated greedily, apart from training.",
         "The source gives its figures as pictures, without numbers.",
     ),

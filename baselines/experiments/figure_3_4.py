@@ -40,12 +40,12 @@ REPRODUCTION = Reproduction(
             Experiment(
                 EnvironmentSpec("bnprl/InvertedPendulum-v0"),
                 sized(PENDULUM, side),
-                steps=4000,
-                seeds=20,
+                steps=1000,
+                seeds=5,
                 eval_episodes=100,
-                eval_points=20,
+                eval_points=5,
             ),
-            quick={"seeds": 2, "steps": 1000, "eval_points": 5, "eval_episodes": 10},
+            quick={"seeds": 2, "eval_episodes": 10},
             measure=LENGTH,
         )
         for side in (6, 10)

@@ -18,11 +18,11 @@ REPRODUCTION = Reproduction(
                 EnvironmentSpec("bnprl/PuddleWorld-v0"),
                 sized(PUDDLES, side),
                 steps=60_000,
-                seeds=20,
+                seeds=3,
                 eval_episodes=100,
-                eval_points=20,
+                eval_points=6,
             ),
-            quick={"seeds": 1, "steps": 8000, "eval_points": 4, "eval_episodes": 10},
+            quick={"seeds": 1, "steps": 5000, "eval_points": 2, "eval_episodes": 10},
             measure=RETURN,
         )
         for side in (10, 20)

@@ -77,6 +77,19 @@ def test_nothing_drifts_within_a_budget(bandwidth, tolerance):
     assert (variance <= 3.0 + 1e-9).all()
 
 
+def test_a_process_that_forgets_follows_its_newest_measurements():
+    """In one place: C shrinks, so that the variance before is forgetting v + (1 - forgetting) k."""
+    gp = SparseGP(RadialKernel((1.0,)), noise=1.0, forgetting=0.5)
+    wanted_mean, wanted_variance = 0.0, 1.0
+    for target in (4.0, 1.0, 1.0):
+        before = 0.5 * wanted_variance + 0.5
+        wanted_mean += before / (1.0 + before) * (target - wanted_mean)
+        wanted_variance = before / (1.0 + before)
+        gp.update([0.0], target)
+        assert gp.predict([[0.0]])[0][0] == pytest.approx(wanted_mean)
+        assert gp.predict([[0.0]])[1][0] == pytest.approx(wanted_variance)
+
+
 def test_the_least_valuable_point_is_removed():
     gp = SparseGP(RadialKernel((0.1,)), NOISE, budget=2)
     for place, value in ((0.0, 5.0), (1.0, 0.01), (2.0, 5.0)):
