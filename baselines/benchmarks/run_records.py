@@ -23,7 +23,7 @@ class Records:
     last line is dropped.
 
     Args:
-        path: of the file, which need not exist; None keeps nothing.
+        path: of the file, which need not exist, nor its folder; None keeps nothing.
 
     Raises:
         ValueError: a complete line is no record.
@@ -33,8 +33,10 @@ class Records:
     def __init__(self, path: Path | None) -> None:
         self.path = path
         self.known: dict[str, list[Score]] = {}
-        if path is None or not path.exists():
+        if path is None:
             return
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.open("a").close()  # fails now rather than after the first run
         content = path.read_bytes()
         complete = content[: content.rfind(b"\n") + 1]
         if complete != content:

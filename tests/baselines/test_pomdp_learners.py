@@ -61,7 +61,7 @@ def runs(monkeypatch):
 
 
 def test_finished_runs_are_not_run_again_and_a_torn_line_is(runs, tmp_path, capsys):
-    path = tmp_path / "records.jsonl"
+    path = tmp_path / "folder" / "records.jsonl"
     call = [
         "--agents",
         *AGENTS,
