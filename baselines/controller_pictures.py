@@ -202,7 +202,8 @@ def _draw_move(
             zorder=2,
         )
     )
-    axes.annotate(text, label, ha="center", va="center", fontsize=7, color=INK, zorder=5)
+    where = (float(label[0]), float(label[1]))
+    axes.annotate(text, where, ha="center", va="center", fontsize=7, color=INK, zorder=5)
 
 
 def _dress_graph(axes: Axes, action_names: Sequence[str], observations: dict[str, str]) -> None:

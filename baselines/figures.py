@@ -109,6 +109,8 @@ def _draw_values(axes: Axes, rows: Sequence[Mapping[str, Any]]) -> None:
             markersize=6,
         )
     dress(axes, INK, PAPER)
+    axes.locator_params(axis="x", nbins=6)
+    axes.xaxis.set_major_formatter(lambda value, _: thousands(value))
     labels = [row["agent"] for row in rows]
     axes.set_yticks(range(len(rows)), labels, fontsize=8, color=INK)
     axes.set_ylim(len(rows) - 0.4, -0.6)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -46,7 +46,8 @@ def learn(initial_nodes: int, seed: int, episodes: int) -> tuple[float, float]:
     *_, last = learner.learn(episodes=episodes)
     model = MAZE.model()
     assert model is not None
-    value = controller_value(model, learner.policy.controllers, model.discount)
+    policy: Any = learner.policy
+    value = controller_value(model, policy.controllers, model.discount)
     return value, last.metrics["nodes"]
 
 

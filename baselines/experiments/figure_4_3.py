@@ -78,7 +78,8 @@ def values_by_window(quick: bool) -> Lines:
     for seed in range(seeds):
         rng = np.random.default_rng([4, 3, seed])
         trained = build_learner(learner, HALLWAY, settings, seed)
-        waiting, scores = list(episodes), {}
+        waiting = list(episodes)
+        scores: dict[str, list[float]] = {}
         for progress in trained.learn(episodes=episodes[-1]):
             if progress.episodes >= waiting[0]:
                 waiting.pop(0)
@@ -93,7 +94,9 @@ def _scores(policy: Any, rng: np.random.Generator) -> dict[str, float]:
     """Return the mean return of 500 episodes for each window and with the whole history."""
     policies = {f"|h| = {w}": Forgetful(policy.controllers[0], w, rng) for w in WINDOWS}
     return {
-        label: float(evaluate(p, HALLWAY, episodes=500, seed=rng.spawn(1)[0]).returns.mean())
+        label: float(
+            evaluate(p, HALLWAY, episodes=500, seed=int(rng.integers(2**31))).returns.mean()
+        )
         for label, p in (policies | {"whole history": policy}).items()
     }
 

@@ -10,7 +10,7 @@ PRIORS = (0.2, 2.0, 20.0, 200.0)
 EXPERIMENT = Experiment(
     EnvironmentSpec("bnprl/NoisyMaze1D-v0"),
     (
-        *(Entry(f"u1={u:g}", "infinite-rpr", {"exploration_prior": u}) for u in PRIORS),
+        *(Entry(f"u1-{u:g}", "infinite-rpr", {"exploration_prior": u}) for u in PRIORS),
         Entry("online-em", "online-em", {"batch_episodes": 20}),
         Entry("ours", "predictive-actor-critic", {"batch_steps": 256, "minibatch_steps": 256}),
     ),

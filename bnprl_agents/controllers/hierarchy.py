@@ -164,44 +164,39 @@ class HierarchicalPrior:
         return self._posterior(Counts(*(parameters[name] for name in Counts._fields)))
 
     def _posterior(self, parameters: Counts) -> Posterior:
+        """The posterior of Dirichlet rows; those of places without a node are the prior's."""
         active, special = self.hierarchy.active, self.hierarchy.special
         mean = Controller(*(normalised(table) for table in parameters))
-
-        def geometric(table: FloatArray) -> FloatArray:
-            rows = np.zeros_like(table)
-            rows[..., active] = geometric_mean(table[..., active])
-            return rows
-
+        held = among(parameters, active)
         nodes = self.hierarchy.alpha * self.hierarchy.weights[active]
-        divergence = dirichlet_divergence(
-            parameters.action, np.broadcast_to(self.actions, parameters.action.shape)
+        divergence = sum(
+            dirichlet_divergence(table, np.broadcast_to(prior, table.shape))
+            for table, prior in zip(held, (nodes, self.actions, nodes), strict=True)
         )
-        for table in (parameters.initial[:, active], parameters.successor[..., active]):
-            divergence += dirichlet_divergence(table, np.broadcast_to(nodes, table.shape))
-        initial, successor = geometric(parameters.initial), geometric(parameters.successor)
-        action = geometric_mean(parameters.action)
+        rows = Counts(*(geometric_mean(table) for table in held))
+        geometric = embedded(rows, active, self.hierarchy.occupied.size)
         if special is not None:
-            initial[:, special] = mean.initial[:, special]
-            successor[..., special] = mean.successor[..., special]
-            action[special], successor[:, :, special] = (
-                mean.action[special],
-                mean.successor[:, :, special],
-            )
+            geometric.initial[:, special] = mean.initial[:, special]
+            geometric.successor[..., special] = mean.successor[..., special]
+            geometric.action[special] = mean.action[special]
+            geometric.successor[:, :, special] = mean.successor[:, :, special]
         return Posterior(
-            mean,
-            Controller(initial, action, successor),
-            divergence,
-            parameters=dict(parameters._asdict()),
+            mean, Controller(*geometric), divergence, parameters=dict(parameters._asdict())
         )
+
+
+def among(tables: Counts, nodes: IntArray) -> Counts:
+    """The entries of some nodes (n,) and of moves between them."""
+    return Counts(
+        tables.initial[:, nodes],
+        tables.action[nodes],
+        tables.successor[:, :, nodes[:, None], nodes],
+    )
 
 
 def restricted(controller: Controller, nodes: IntArray) -> Controller:
     """The controller of some nodes (n,) alone; no other may be reached."""
-    return Controller(
-        controller.initial[:, nodes],
-        controller.action[nodes],
-        controller.successor[:, :, nodes[:, None], nodes],
-    )
+    return Controller(*among(Counts(*vars(controller).values()), nodes))
 
 
 def embedded(counts: Counts, nodes: IntArray, room: int) -> Counts:

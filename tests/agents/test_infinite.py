@@ -7,7 +7,6 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from bnprl_agents.controllers.controller import Controller
 from bnprl_agents.controllers.episode_pool import Behaviour, EpisodePool, log_probability
 from bnprl_agents.controllers.hdp import (
     sample_row_concentration,
@@ -17,11 +16,11 @@ from bnprl_agents.controllers.hdp import (
 )
 from bnprl_agents.controllers.hierarchy import (
     Hierarchy,
+    among,
     embedded,
     first_hierarchy,
     only,
     resampled,
-    restricted,
     shared_out,
 )
 from bnprl_agents.controllers.infinite import InfiniteRPR, InfiniteRPRConfig
@@ -230,13 +229,9 @@ def test_a_division_keeps_the_counts_and_the_weights():
         shared.successor[:, :, 1:3].sum(axis=2)[..., 1:3].sum(axis=-1), counts.successor[:, :, 1, 1]
     )
     nodes = np.array([0, 2])
-    whole = embedded(Counts(*restricted_counts(shared, nodes)), nodes, 4)
+    whole = embedded(among(shared, nodes), nodes, 4)
     assert whole.action[1].sum() == 0.0
     np.testing.assert_array_equal(whole.successor[:, :, 2, 0], shared.successor[:, :, 2, 0])
-
-
-def restricted_counts(counts, nodes):
-    return vars(restricted(Controller(*counts), nodes)).values()
 
 
 def test_rows_of_controllers_are_proper_whatever_was_born_or_dropped():

@@ -218,11 +218,14 @@ def test_negative_rewards_are_refused_before_anything_is_run():
 
 
 def test_a_discount_of_1_needs_a_horizon():
-    model, agent = small_model(), OnlineEM(*SPACES, discount=1.0, seed=0)
-    endless = TabularVectorEnv(model, 2, autoreset_mode="Disabled")
+    endless, limited = (
+        TabularVectorEnv(small_model(), 2, max_episode_steps=limit, autoreset_mode="Disabled")
+        for limit in (None, 3)
+    )
+    spaces = endless.single_observation_space, endless.single_action_space
+    agent = OnlineEM(*spaces, discount=1.0, seed=0)
     with pytest.raises(ValueError, match="discount: 1, but the environment has no horizon"):
         train(agent, endless, seed=0, episodes=1)
-    limited = TabularVectorEnv(model, 2, max_episode_steps=3, autoreset_mode="Disabled")
     assert list(train(agent, limited, seed=0, episodes=1))
 
 
