@@ -1,27 +1,34 @@
 """What `ControllerSearch` reaches on the decentralised benchmarks, and how fast.
 
-`python -m baselines.benchmarks.team_learners` trains every seed of every problem with the same
-settings, prints the exact values of the returned controllers (of grid traffic: the units that pass
-in a step, by simulation) and exits 1 where a mean misses its target or a seed takes more than five
-minutes of one core.
+`python -m baselines.benchmarks.team_learners --out FILE` trains every seed of every problem with
+the same settings, prints the exact values of the returned controllers (of grid traffic: the units
+that pass in a step, by simulation) and exits 1 where a mean misses its target or a seed takes more
+than five minutes of one core. What FILE holds is not run again. The last problem is a model file
+that nothing else uses; its target is the best memoryless policy, which is searched on the model.
 """
 
 from __future__ import annotations
 
 import argparse
+import dataclasses
+import json
 import sys
 import time
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import bnprl_envs
 from bnprl_agents import ControllerSearch, controller_value, train
-from bnprl_envs import GridTraffic, GridTrafficBatch, TabularParallelBatch, TabularParallelEnv
+from bnprl_envs import GridTrafficBatch, TabularModel, TabularParallelBatch
+from bnprl_envs.memoryless import memoryless_joint_policy
+from bnprl_envs.team import agent_spaces
 
 SECONDS = 300.0
 """CPU time of one seed that may not be exceeded."""
+DISCOUNT = 0.9
 EPISODES = 1000
 """Episodes by which grid traffic is evaluated."""
 
@@ -31,26 +38,34 @@ class Problem:
     """A problem with its target.
 
     Attributes:
-        id: of the environment.
-        wanted: smallest passing mean over the seeds.
+        name: of the environment, or of a file beside this one.
+        wanted: smallest passing mean over the seeds; None: the best memoryless value.
         goal: best known value of the literature; of grid traffic, what is hoped for.
         steps: simulated for one seed, of all agents together.
     """
 
-    id: str
-    wanted: float
-    goal: float
+    name: str
+    wanted: float | None
+    goal: float | None
     steps: int
+
+    def model(self) -> TabularModel | None:
+        """The model; None for grid traffic, which has none."""
+        if self.name.endswith(".dpomdp"):
+            return bnprl_envs.read_model(Path(__file__).parent / self.name)
+        tabular = bnprl_envs.entry(self.name).kind == "parallel-tabular"
+        return bnprl_envs.model(self.name) if tabular else None
 
 
 PROBLEMS = (
-    Problem("bnprl/BroadcastChannel-v0", 9.26, 9.271, 500_000_000),
-    Problem("bnprl/RecyclingRobots-v0", 31.9, 31.929, 500_000_000),
-    Problem("bnprl/MeetingGrid-v0", 5.8, 5.820, 500_000_000),
-    Problem("bnprl/BoxPushing-v0", 200.0, 224.43, 500_000_000),
-    Problem("bnprl/MarsRovers-v0", 25.0, 26.94, 500_000_000),
-    Problem("bnprl/DecTiger-v0", 5.0, 13.448, 500_000_000),
+    Problem("bnprl/BroadcastChannel-v0", 9.26, 9.271, 150_000_000),
+    Problem("bnprl/RecyclingRobots-v0", 31.9, 31.929, 100_000_000),
+    Problem("bnprl/MeetingGrid-v0", 5.8, 5.820, 100_000_000),
+    Problem("bnprl/BoxPushing-v0", 200.0, 224.43, 150_000_000),
+    Problem("bnprl/MarsRovers-v0", 25.0, 26.94, 300_000_000),
+    Problem("bnprl/DecTiger-v0", 5.0, 13.448, 100_000_000),
     Problem("bnprl/GridTraffic-v0", 8.5, 9.5, 2_000_000),
+    Problem("pressure.dpomdp", None, None, 100_000_000),
 )
 
 
@@ -66,23 +81,43 @@ class Run:
 def run(problem: Problem, seed: int) -> Run:
     """Train from one seed and evaluate the returned controllers."""
     begin = time.process_time()
-    tabular = bnprl_envs.entry(problem.id).kind == "parallel-tabular"
-    team = TabularParallelEnv(problem.id) if tabular else GridTraffic()
-    batch = (
-        TabularParallelBatch(problem.id, max_episode_steps=100) if tabular else GridTrafficBatch(8)
-    )
-    agent = ControllerSearch(
-        team.observation_spaces, team.action_spaces, discount=team.discount, seed=seed
-    )
+    model = problem.model()
+    batch = TabularParallelBatch(model, max_episode_steps=100) if model else GridTrafficBatch(8)
+    agent = ControllerSearch(*agent_spaces(batch), discount=DISCOUNT, seed=seed)
     for _ in train(agent, batch, seed=seed, steps=problem.steps):
         pass
     seconds = time.process_time() - begin
-    value = (
-        controller_value(batch.model, agent.controllers, team.discount)
-        if isinstance(batch, TabularParallelBatch)
-        else units_a_step(agent)
-    )
+    value = controller_value(model, agent.controllers, DISCOUNT) if model else units_a_step(agent)
     return Run(value, max(c.n_nodes for c in agent.controllers), seconds)
+
+
+class Finished:
+    """The finished runs, in a file of one line of JSON each.
+
+    Args:
+        path: of the file, which need not exist; None keeps nothing.
+    """
+
+    def __init__(self, path: Path | None) -> None:
+        self.path = path
+        self.known: dict[tuple[str, int, int], Run] = {}
+        content = path.read_text() if path and path.exists() else ""
+        for line in content.splitlines():
+            fields = json.loads(line)
+            key = (fields.pop("problem"), fields.pop("steps"), fields.pop("seed"))
+            self.known[key] = Run(**fields)
+
+    def run(self, problem: Problem, seed: int) -> Run:
+        """The run of a seed, from the file if it is there; see `run`."""
+        key = (problem.name, problem.steps, seed)
+        if key not in self.known:
+            self.known[key] = run(problem, seed)
+            line = dict(zip(("problem", "steps", "seed"), key, strict=True))
+            if self.path:
+                with self.path.open("a") as file:
+                    found = dataclasses.asdict(self.known[key])
+                    file.write(json.dumps(line | found, allow_nan=False) + "\n")
+        return self.known[key]
 
 
 def units_a_step(agent: ControllerSearch) -> float:
@@ -99,36 +134,45 @@ def units_a_step(agent: ControllerSearch) -> float:
     return passed / (env.max_episode_steps or 1)
 
 
+def report(problem: Problem, runs: list[Run]) -> bool:
+    """Print the verdict on a problem and return it."""
+    values = [r.value for r in runs]
+    mean, slowest = float(np.mean(values)), max(r.seconds for r in runs)
+    wanted = problem.wanted
+    if wanted is None:
+        wanted = memoryless_joint_policy(problem.model(), discount=DISCOUNT).value
+    good = mean >= wanted - 1e-9 and slowest <= SECONDS
+    goal = "" if problem.goal is None else f", goal {problem.goal:.3f}"
+    print(
+        f"{problem.name:25}  mean  {mean:8.3f}, best {max(values):.3f}, worst {min(values):.3f}, "
+        f"at most {slowest:.0f} s, wanted {wanted:.3f}{goal}: {'pass' if good else 'FAIL'}",
+        flush=True,
+    )
+    return good
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Run every seed and print the table; return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__)
+    names = [p.name for p in PROBLEMS]
     parser.add_argument("--seeds", type=int, default=10, help="runs of each problem")
-    parser.add_argument("--ids", nargs="+", default=[p.id for p in PROBLEMS], help="problems")
+    parser.add_argument("--problems", nargs="+", choices=names, default=names)
     parser.add_argument("--scale", type=float, default=1.0, help="factor of the simulated steps")
+    parser.add_argument("--out", type=Path, help="file of finished runs, which are not run again")
     chosen = parser.parse_args(arguments)
-    passed = True
+    finished, passed = Finished(chosen.out), True
     print("problem                    seed     value  nodes  seconds")
     for problem in PROBLEMS:
-        if problem.id not in chosen.ids:
+        if problem.name not in chosen.problems:
             continue
-        scaled = Problem(
-            problem.id, problem.wanted, problem.goal, int(problem.steps * chosen.scale)
-        )
+        scaled = dataclasses.replace(problem, steps=int(problem.steps * chosen.scale))
         runs = []
         for seed in range(chosen.seeds):
-            r = run(scaled, seed)
-            runs.append(r)
-            print(f"{problem.id:25}  {seed:4}  {r.value:8.3f}  {r.nodes:5}  {r.seconds:7.1f}")
+            runs.append(finished.run(scaled, seed))
+            r = runs[-1]
+            print(f"{problem.name:25}  {seed:4}  {r.value:8.3f}  {r.nodes:5}  {r.seconds:7.1f}")
             sys.stdout.flush()
-        values = [r.value for r in runs]
-        mean = float(np.mean(values))
-        good = mean >= problem.wanted and max(r.seconds for r in runs) <= SECONDS
-        passed &= good
-        print(
-            f"{problem.id:25}  mean  {mean:8.3f}, best {max(values):.3f}, wanted "
-            f"{problem.wanted:.3f}, goal {problem.goal:.3f}: "
-            f"{'pass' if good else 'FAIL'}"
-        )
+        passed &= report(scaled, runs)
     return 0 if passed else 1
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 
 from bnprl_agents.episodes import FloatArray, IntArray
 from bnprl_agents.search.simulator import TeamSimulator, UInt64Array
@@ -12,7 +13,7 @@ EXPLORATION = 0.2
 """Probability with which the responding agent acts uniformly at random."""
 TRUSTED = 3
 """Times that an action must have been tried in a node before it may be chosen there."""
-SEEDS = 256
+SEEDS = 128
 """Episodes from which a response is learned."""
 
 
@@ -74,12 +75,31 @@ def best_response(
     decided = trusted.any(axis=1)
     reward = earned / np.maximum(times, 1)
     chance = tried / np.maximum(times, 1)[..., None]
-    value = np.zeros(len(tried))
-    for _ in range(horizon):
-        ahead = value[team.successor[0, role, :-1]]
-        quality = reward + discount * (chance @ ahead[..., None])[..., 0]
-        quality[~trusted] = -np.inf
-        value = np.where(decided, quality.max(axis=1), 0.0)
+    quality = values_of_actions(
+        chance, reward, trusted, team.successor[0, role, :-1], discount, horizon
+    )
     action = team.action.copy()
     action[0, role, decided] = quality[decided].argmax(axis=1)
     return DecisionTables(team.roles, action, team.successor)
+
+
+@njit(cache=True)
+def values_of_actions(  # type: ignore[no-untyped-def]
+    chance, reward, trusted, successor, discount, horizon
+):
+    """Sweep Q(z, a), minus infinity where an action is not trusted; see `best_response`."""
+    n_nodes, n_actions, n_seen = chance.shape
+    value = np.zeros(n_nodes)
+    quality = np.full((n_nodes, n_actions), -np.inf)
+    for _ in range(horizon):
+        for z in range(n_nodes):
+            for a in range(n_actions):
+                if trusted[z, a]:
+                    ahead = 0.0
+                    for o in range(n_seen):
+                        ahead += chance[z, a, o] * value[successor[z, o]]
+                    quality[z, a] = reward[z, a] + discount * ahead
+        for z in range(n_nodes):
+            best = quality[z].max()
+            value[z] = best if best > -np.inf else 0.0
+    return quality

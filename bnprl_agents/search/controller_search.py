@@ -22,9 +22,9 @@ from bnprl_agents.search.simulator import TeamSimulator, UInt64Array
 from bnprl_agents.search.tables import DecisionTables
 from bnprl_agents.search.walking import walk
 
-ACTIVITIES = ("explore", "walk", "refine", "polish")
-RIVALS = 3
-"""Memories of which the one whose walk stands best walks on."""
+SHARES = {"explore": 1, "walk": 3, "refine": 1, "polish": 1}
+"""Parts of the simulated steps that each activity gets."""
+
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class ControllerSearchConfig:
     """Longest period of the clock that a restart may remember."""
     widest_window: int = 2
     """Most observations that a restart may remember."""
-    explore_seeds: int = 256
+    explore_seeds: int = 128
     """Episodes on which the actions of a restart are climbed."""
     refine_seeds: int = 512
     """Episodes on which whole controllers are climbed."""
@@ -108,7 +108,7 @@ class ControllerSearch(ControllerAgent):
         self.restarts = Leaderboard.empty(self.roles, *sizes)
         self.walks = Leaderboard.empty(self.roles, *sizes)
         self.elites = Leaderboard.empty(self.roles, *sizes)
-        self.spent = dict.fromkeys(ACTIVITIES, 0)
+        self.spent = dict.fromkeys(SHARES, 0)
 
     @property
     def batch_episodes(self) -> int:
@@ -178,7 +178,7 @@ class ControllerSearch(ControllerAgent):
             possible.append("refine")
         if self.elites.values.size:
             possible.append("polish")
-        return min(possible, key=self.spent.__getitem__)
+        return min(possible, key=lambda name: self.spent[name] / SHARES[name])
 
     def _look_around(self, simulator: TeamSimulator) -> None:
         """Note which observations random teams meet after their first action."""
@@ -208,11 +208,14 @@ class ControllerSearch(ControllerAgent):
     def _walk(self, simulator: TeamSimulator, limit: int) -> None:
         """Walk on within one memory; keep the best on the way if it is among the best restarts."""
         known = self._shapes()
-        standing = np.full(len(known), np.inf)
-        standing[self.walks.labels] = self.walks.values
-        rivals = self.rng.choice(len(known), size=min(RIVALS, len(known)), replace=False)
-        label = int(rivals[standing[rivals].argmax()])
-        if np.isinf(standing[label]):
+        walking = self.walks.labels
+        fresh = np.setdiff1d(np.arange(len(known)), walking)
+        if fresh.size:
+            label = int(self.rng.choice(fresh))
+        else:  # the best walk, or any of the better half
+            best = self.rng.random() < 0.5
+            label = int(walking[0 if best else self.rng.integers((walking.size + 1) // 2)])
+        if fresh.size:
             team = random_tables(
                 known[label], self.roles, self.role_actions, self.seen, self.config.nodes, self.rng
             )
@@ -315,7 +318,7 @@ class ControllerSearch(ControllerAgent):
         self.restarts = self.restarts.restored("restarts", arrays)
         self.walks = self.walks.restored("walks", arrays)
         self.elites = self.elites.restored("elites", arrays)
-        self.spent = {name: int(counters["spent"][name]) for name in ACTIVITIES}
+        self.spent = {name: int(counters["spent"][name]) for name in SHARES}
 
 
 def shared_roles(

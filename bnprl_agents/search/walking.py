@@ -10,7 +10,7 @@ from bnprl_agents.search.best_response import respond_in_turn
 from bnprl_agents.search.simulator import TeamSimulator, UInt64Array
 from bnprl_agents.search.tables import DecisionTables
 
-ROUNDS = 16
+ROUNDS = 8
 """Disturbances of one walk."""
 CHANGES = 6
 """Most actions that a disturbance changes."""
