@@ -137,10 +137,10 @@ REPRODUCTION = Reproduction(
             Experiment(
                 EnvironmentSpec("bnprl/InvertedPendulum-v0"),
                 DEEP_PENDULUM,
-                steps=8000,
+                steps=5000,
                 seeds=3,
                 eval_episodes=100,
-                eval_points=8,
+                eval_points=5,
             ),
             quick={"seeds": 1, "steps": 3000, "eval_points": 3, "eval_episodes": 10},
             measure=LENGTH,
