@@ -53,7 +53,7 @@ DEEP_PENDULUM = (
     Entry(
         "dqn",
         "dqn",
-        {"n_envs": 1, "learning_starts": 500, "train_freq": 1, "gradient_steps": 1},
+        {"n_envs": 1, "learning_starts": 200, "train_freq": 1, "gradient_steps": 1},
     ),
     Entry("ppo", "ppo", {"n_envs": 8, "n_steps": 64, "batch_size": 128, "n_epochs": 10}),
 )
@@ -137,12 +137,12 @@ REPRODUCTION = Reproduction(
             Experiment(
                 EnvironmentSpec("bnprl/InvertedPendulum-v0"),
                 DEEP_PENDULUM,
-                steps=8000,
+                steps=2048,
                 seeds=3,
                 eval_episodes=100,
-                eval_points=8,
+                eval_points=4,
             ),
-            quick={"seeds": 1, "steps": 3000, "eval_points": 3, "eval_episodes": 10},
+            quick={"seeds": 1, "eval_episodes": 10},
             measure=LENGTH,
         ),
         Comparison(
@@ -156,7 +156,7 @@ REPRODUCTION = Reproduction(
                 eval_episodes=100,
                 eval_points=6,
             ),
-            quick={"seeds": 1, "steps": 5000, "eval_points": 2, "eval_episodes": 10},
+            quick={"seeds": 1, "steps": 15_000, "eval_points": 3, "eval_episodes": 10},
             measure=RETURN,
         ),
         Comparison(

@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from baselines.environment import EnvironmentSpec
 from baselines.experiment import Experiment
 from baselines.experiments.figure_3_2 import PUDDLES
-from baselines.experiments.figure_3_4 import sized
 from baselines.reproduction import LENGTH, Comparison, Reproduction, learner_metric
 
 ENTRIES = tuple(
-    replace(entry, settings=entry.settings | {"bandwidth": [0.1]})
-    for entry in sized(PUDDLES, 20)
-    if "bandwidth" in entry.settings
+    entry for entry in PUDDLES if entry.contender.startswith("gpq") or entry.name.endswith("worst")
 )
 EXPERIMENT = Experiment(
     EnvironmentSpec("bnprl/PuddleWorld-v0"),
@@ -23,7 +18,7 @@ EXPERIMENT = Experiment(
     eval_episodes=100,
     eval_points=8,
 )
-QUICK = {"seeds": 1, "steps": 5000, "eval_points": 2, "eval_episodes": 10}
+QUICK = {"seeds": 1, "steps": 15_000, "eval_points": 3, "eval_episodes": 10}
 
 REPRODUCTION = Reproduction(
     title="Figure 3.5: puddle world, 400 bases of bandwidth .1",

@@ -22,7 +22,7 @@ REPRODUCTION = Reproduction(
                 eval_episodes=100,
                 eval_points=6,
             ),
-            quick={"seeds": 1, "steps": 5000, "eval_points": 2, "eval_episodes": 10},
+            quick={"seeds": 1, "steps": 15_000, "eval_points": 3, "eval_episodes": 10},
             measure=RETURN,
         )
         for side in (10, 20)
