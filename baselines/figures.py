@@ -52,19 +52,25 @@ def _draw_references(axes: Axes, rows: Sequence[Mapping[str, Any]]) -> None:
     """Draw horizontal lines with their names, those far from the curves left out."""
     low, high = axes.get_ylim()
     room = 0.5 * (high - low)
-    for row in rows:
-        if low - room <= row["mean"] <= high + room and not (
-            axes.get_yscale() == "log" and row["mean"] <= 0.0
-        ):
-            axes.axhline(row["mean"], color=INK, linewidth=0.9, linestyle=(0, (1, 2)), alpha=0.75)
-            axes.annotate(
-                row["agent"],
-                (0.005, row["mean"]),
-                xycoords=("axes fraction", "data"),
-                va="bottom",
-                fontsize=6.5,
-                color=INK,
-            )
+    named: dict[float, str] = {}
+    for row in sorted(rows, key=lambda row: float(row["mean"])):
+        value = float(row["mean"])
+        if low - room <= value <= high + room and (value > 0.0 or axes.get_yscale() != "log"):
+            axes.axhline(value, color=INK, linewidth=0.9, linestyle=(0, (1, 2)), alpha=0.75)
+            near = max(named, default=-np.inf)
+            if value - near < 0.03 * (high - low):  # one label for lines too close for two
+                named[near] += f", {row['agent']}"
+            else:
+                named[value] = row["agent"]
+    for value, text in named.items():
+        axes.annotate(
+            text,
+            (0.005, value),
+            xycoords=("axes fraction", "data"),
+            va="bottom",
+            fontsize=6.5,
+            color=INK,
+        )
 
 
 def draw_table(reproduction: Reproduction, tables: Sequence[Mapping[str, Any]]) -> bytes:
