@@ -267,7 +267,7 @@ class InfiniteRPR(BayesianEM):
             counts = backward(data, n, controller, message, evidence.shares)
             counts = blend(saved, embedded(counts, nodes, self.config.nodes), share)
             posterior = prior.update(scaled(counts, update.scale), posterior)
-        fit = log_value if self.config.weighting != "return" else share * evidence.fit
+        fit = log_value if self.config.weighting == "reward" else share * evidence.fit
         return Fit(posterior, counts, update.scale * fit - posterior.divergence, log_value)
 
     def _take_over(self, n: int, prior: HierarchicalPrior, fit: Fit) -> None:

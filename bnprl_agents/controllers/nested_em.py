@@ -14,7 +14,7 @@ from bnprl_agents.controllers.learner import ControllerAgent, shifted
 from bnprl_agents.controllers.messages import Counts, Messages, backward, forward
 from bnprl_agents.controllers.priors import MaximumLikelihood, Posterior, Prior, blend, scaled
 from bnprl_agents.controllers.schedules import blended_value, exponential
-from bnprl_agents.controllers.weighting import Evidence, by_normalised_reward, by_return, by_reward
+from bnprl_agents.controllers.weighting import Evidence, by_return, by_reward
 from bnprl_agents.episodes import EpisodeBatch, FloatArray
 from bnprl_agents.policy_files import Arrays
 
@@ -78,9 +78,8 @@ class NestedEMConfig:
     """u1 of the Beta distribution from which a node's exploitation is drawn; larger explores."""
     reward_shift: float = 0.0
     """Added to every reward; the sum must not be negative. A terminal state earns it for ever."""
-    weighting: Literal["reward", "normalised", "return"] = "reward"
-    """reward: every reward by its importance ratio, the empirical value (2.45). normalised: by its
-    ratio over the mean ratio of its step, which is not in the source. return: whole
+    weighting: Literal["reward", "return"] = "reward"
+    """reward: every reward by its importance ratio, the empirical value (2.45). return: whole
     on-policy episodes by exp(temperature x standardised return), which needs no shift; not in the
     source, for rewards of both signs, where a shift drowns the signal."""
     temperature: float = 1.0
@@ -104,10 +103,8 @@ def check_settings(config: NestedEMConfig) -> None:
             raise ValueError(f"{name}: {getattr(config, name)}, must be positive and finite")
     if not np.isfinite(config.reward_shift):
         raise ValueError(f"reward_shift: {config.reward_shift}, must be finite")
-    if config.weighting not in ("reward", "normalised", "return"):
-        raise ValueError(
-            f"weighting: {config.weighting!r}, must be 'reward', 'normalised' or 'return'"
-        )
+    if config.weighting not in ("reward", "return"):
+        raise ValueError(f"weighting: {config.weighting!r}, must be 'reward' or 'return'")
     if config.weighting == "return" and config.batch_episodes < 2:
         raise ValueError("batch_episodes: 1, must be at least 2 to weigh episodes by their returns")
 
@@ -189,7 +186,7 @@ class NestedEM(ControllerAgent):
 
     def check_reward(self, smallest: float) -> None:
         """Check that the learner can use rewards down to this one; see `ControllerAgent`."""
-        if self.config.weighting != "return":
+        if self.config.weighting == "reward":
             super().check_reward(smallest)
 
     def learn(self, episodes: EpisodeBatch) -> Metrics:
@@ -202,7 +199,7 @@ class NestedEM(ControllerAgent):
             "return_mean": float(episodes.returns(self.discount).mean()),
             "exploring": self.exploring_share(messages),
         }
-        if self.config.weighting != "return":
+        if self.config.weighting == "reward":
             metrics["value"] = exponential(self.weigh(data, messages).log_value)
         metrics |= self.improve(data, messages)
         scale = self.evidence_episodes(data)
@@ -255,8 +252,6 @@ class NestedEM(ControllerAgent):
         likelihoods = [message.likelihood for message in messages]
         if self.config.weighting == "reward":
             return by_reward(data, likelihoods, self.discount)
-        if self.config.weighting == "normalised":
-            return by_normalised_reward(data, likelihoods, self.discount)
         return by_return(data, likelihoods, self.discount, self.config.temperature)
 
     def state_arrays(self) -> Arrays:

@@ -10,9 +10,6 @@ import numpy as np
 from bnprl_agents.controllers.messages import reward_weights, running_sum
 from bnprl_agents.episodes import EpisodeBatch, FloatArray
 
-TINY = 1e-12
-"""Least mean ratio."""
-
 
 class Evidence(NamedTuple):
     """Weighted steps.
@@ -49,45 +46,6 @@ def by_reward(
         return Evidence(weights, -np.inf, -np.inf)
     log_value = float(log_scale + np.log(total / episodes.n_episodes))
     return Evidence(weights / total, log_value, log_value)
-
-
-def by_normalised_reward(
-    episodes: EpisodeBatch, likelihoods: Sequence[FloatArray], discount: float
-) -> Evidence:
-    """The same with ratio_t divided by its mean over the episodes: weighted importance sampling.
-
-    The mean is 1 but for noise, of which the rewards' average has as much: dividing takes most of
-    it away, for a bias that vanishes with the number of episodes. An episode that has ended keeps
-    its last ratio. The means count as given, so that EM's bound is one of each sweep alone.
-
-    Args:
-        episodes: K episodes.
-        likelihoods: for each agent c_t, (S,).
-        discount: factor in (0, 1].
-
-    Raises:
-        ValueError: a reward is negative.
-    """
-    plain = by_reward(episodes, likelihoods, discount)
-    if plain.log_value == -np.inf:
-        return plain
-    shares = plain.shares / mean_ratios(episodes, likelihoods)[episodes.steps_into_episode()]
-    total = shares.sum()
-    log_value = plain.log_value + float(np.log(total))
-    return Evidence(shares / total, log_value, log_value)
-
-
-def mean_ratios(episodes: EpisodeBatch, likelihoods: Sequence[FloatArray]) -> FloatArray:
-    """Mean of ratio_t over all episodes, (T,), those that have ended with their last one."""
-    with np.errstate(divide="ignore", over="ignore"):
-        log_steps = sum(np.log(c) for c in likelihoods) - np.log(episodes.behaviour).sum(axis=1)
-        ratio = np.exp(running_sum(episodes.offsets, log_steps))
-    step, last = episodes.steps_into_episode(), episodes.offsets[1:] - 1
-    longest = int(step.max()) + 1
-    running = np.bincount(step, ratio, longest)
-    ended = np.bincount(step[last] + 1, ratio[last], longest + 1)[:longest].cumsum()
-    means: FloatArray = np.maximum((running + ended) / episodes.n_episodes, TINY)
-    return means
 
 
 def by_return(

@@ -1,7 +1,6 @@
 """Variational Bayes: closed forms, the bound by brute force, schedules."""
 
 import itertools
-from dataclasses import replace
 
 import gymnasium as gym
 import numpy as np
@@ -17,12 +16,7 @@ from bnprl_agents.controllers.messages import Counts, forward, soft_counts
 from bnprl_agents.controllers.rollout import rollout
 from bnprl_agents.controllers.value import controller_value
 from bnprl_agents.controllers.variational import VariationalBayes, VariationalBayesConfig
-from bnprl_agents.controllers.weighting import (
-    by_normalised_reward,
-    by_return,
-    by_reward,
-    mean_ratios,
-)
+from bnprl_agents.controllers.weighting import by_return, by_reward
 from bnprl_agents.episodes import EpisodeBatch
 from tests.agents.cases import copying_model, random_episodes, random_team
 
@@ -54,25 +48,6 @@ def evidence(posterior, counts):
     """What the M-step maximises: E_q ln p(counts | theta) - KL."""
     tables = zip(counts, vars(posterior.geometric).values(), strict=True)
     return sum(float(np.sum(c * np.log(g))) for c, g in tables) - posterior.divergence
-
-
-def test_normalised_weights_divide_each_step_by_its_mean_ratio():
-    rng = np.random.default_rng(3)
-    episodes = random_episodes(rng, (3, 1, 2), (2,), (3,))
-    likelihood = rng.uniform(0.1, 1.0, episodes.n_steps)
-    ratios = np.zeros((3, 3))
-    for k, (begin, end) in enumerate(itertools.pairwise(episodes.offsets)):
-        run = np.cumprod(likelihood[begin:end] / episodes.behaviour[begin:end, 0])
-        ratios[k] = np.append(run, np.full(3 - run.size, run[-1]))
-    np.testing.assert_allclose(mean_ratios(episodes, [likelihood]), ratios.mean(axis=0))
-    found = by_normalised_reward(episodes, [likelihood], DISCOUNT)
-    step = episodes.steps_into_episode()
-    episode = np.repeat(np.arange(3), episodes.lengths)
-    part = episodes.rewards * DISCOUNT**step * (ratios / ratios.mean(axis=0))[episode, step]
-    np.testing.assert_allclose(found.shares, part / part.sum())
-    assert found.log_value == pytest.approx(np.log(part.sum() / 3))
-    silent = replace(episodes, rewards=np.zeros(6))
-    assert by_normalised_reward(silent, [likelihood], DISCOUNT).log_value == -np.inf
 
 
 def test_no_other_dirichlet_posterior_is_better():
