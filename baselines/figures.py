@@ -16,7 +16,6 @@ from baselines.reproduction import Comparison, Computation, Lines, Reproduction
 from baselines.statistics import mean_band
 
 INK, PAPER = "#1f2328", "#ffffff"
-COLUMNS = 3
 X_LABELS = {"steps": "environment steps of training", "episodes": "episodes of training"}
 LARGEST = 1e12
 """Beyond, a diverging line is cut off at the top of the axes."""
@@ -33,7 +32,7 @@ def draw(
         tables: of each panel its rows, whose references are drawn where they are near the curves.
     """
     n = len(reproduction.panels)
-    columns = min(n, COLUMNS)
+    columns = min(n, reproduction.columns)
     rows = -(-n // columns)
     figure = Figure(
         figsize=(1.5 + 4.6 * columns, 4.6 * rows), facecolor=PAPER, layout="constrained"
@@ -81,7 +80,7 @@ def draw_table(reproduction: Reproduction, tables: Sequence[Mapping[str, Any]]) 
         tables: of each panel its title, its measure and its rows.
     """
     tallest = max(len(panel["rows"]) for panel in tables)
-    columns = min(len(tables), COLUMNS)
+    columns = min(len(tables), reproduction.columns)
     rows = -(-len(tables) // columns)
     figure = Figure(
         figsize=(5.2 * columns, rows * (1.3 + 0.27 * tallest)),

@@ -56,6 +56,7 @@ REPRODUCTION = Reproduction(
         panel("exploration", EXPLORING),
         panel("nodes in use", NODES),
     ),
+    columns=2,
     notes=(
         "The source draws the mean reward of all episodes so far, less the optimum; here the "
         "learned policy's value (2,000 episodes) and the newest episodes' return stand apart.",
