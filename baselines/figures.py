@@ -16,7 +16,6 @@ from baselines.reproduction import Comparison, Computation, Lines, Reproduction
 from baselines.statistics import mean_band
 
 INK, PAPER = "#1f2328", "#ffffff"
-COLUMNS = 3
 X_LABELS = {"steps": "environment steps of training", "episodes": "episodes of training"}
 LARGEST = 1e12
 """Beyond, a diverging line is cut off at the top of the axes."""
@@ -33,7 +32,7 @@ def draw(
         tables: of each panel its rows, whose references are drawn where they are near the curves.
     """
     n = len(reproduction.panels)
-    columns = min(n, COLUMNS)
+    columns = min(n, reproduction.columns)
     rows = -(-n // columns)
     figure = Figure(
         figsize=(1.5 + 4.6 * columns, 4.6 * rows), facecolor=PAPER, layout="constrained"
@@ -52,19 +51,25 @@ def _draw_references(axes: Axes, rows: Sequence[Mapping[str, Any]]) -> None:
     """Draw horizontal lines with their names, those far from the curves left out."""
     low, high = axes.get_ylim()
     room = 0.5 * (high - low)
-    for row in rows:
-        if low - room <= row["mean"] <= high + room and not (
-            axes.get_yscale() == "log" and row["mean"] <= 0.0
-        ):
-            axes.axhline(row["mean"], color=INK, linewidth=0.9, linestyle=(0, (1, 2)), alpha=0.75)
-            axes.annotate(
-                row["agent"],
-                (0.005, row["mean"]),
-                xycoords=("axes fraction", "data"),
-                va="bottom",
-                fontsize=6.5,
-                color=INK,
-            )
+    named: dict[float, str] = {}
+    for row in sorted(rows, key=lambda row: float(row["mean"])):
+        value = float(row["mean"])
+        if low - room <= value <= high + room and (value > 0.0 or axes.get_yscale() != "log"):
+            axes.axhline(value, color=INK, linewidth=0.9, linestyle=(0, (1, 2)), alpha=0.75)
+            near = max(named, default=-np.inf)
+            if value - near < 0.03 * (high - low):  # one label for lines too close for two
+                named[near] += f", {row['agent']}"
+            else:
+                named[value] = row["agent"]
+    for value, text in named.items():
+        axes.annotate(
+            text,
+            (0.005, value),
+            xycoords=("axes fraction", "data"),
+            va="bottom",
+            fontsize=6.5,
+            color=INK,
+        )
 
 
 def draw_table(reproduction: Reproduction, tables: Sequence[Mapping[str, Any]]) -> bytes:
@@ -75,7 +80,7 @@ def draw_table(reproduction: Reproduction, tables: Sequence[Mapping[str, Any]]) 
         tables: of each panel its title, its measure and its rows.
     """
     tallest = max(len(panel["rows"]) for panel in tables)
-    columns = min(len(tables), COLUMNS)
+    columns = min(len(tables), reproduction.columns)
     rows = -(-len(tables) // columns)
     figure = Figure(
         figsize=(5.2 * columns, rows * (1.3 + 0.27 * tallest)),

@@ -142,12 +142,14 @@ class Reproduction:
         notes: what to know when reading it, one sentence or more each.
         shape: "figure" draws each panel's curves. "table" makes one table, each panel a row and
             each contender or reference a column, and draws the last values side by side.
+        columns: of panels in the picture, at most.
     """
 
     title: str
     panels: tuple[Comparison | Computation, ...]
     notes: tuple[str, ...] = field(default=())
     shape: Literal["figure", "table"] = "figure"
+    columns: int = 3
 
 
 def registered(id: str) -> tuple[Reference, ...]:

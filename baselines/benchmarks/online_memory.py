@@ -23,7 +23,12 @@ SETTINGS: dict[str, dict[str, Any]] = {
     "online-em": {},
     "variational": {"schedule": "online", "batch_episodes": 100},
     "stick-breaking": {"schedule": "online", "batch_episodes": 100},
-    "infinite-rpr": {"schedule": "online", "batch_episodes": 100, "outer_iterations": 1},
+    "infinite-rpr": {
+        "schedule": "online",
+        "batch_episodes": 100,
+        "outer_iterations": 1,
+        "divisions": 1,
+    },
 }
 MEMORY, TIME = 1.1, 2.0
 """Largest ratios of peak memory and of an episode's time, most episodes to fewest."""

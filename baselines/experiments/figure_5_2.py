@@ -69,6 +69,7 @@ def panels(name: str) -> tuple[Comparison, Comparison]:
 REPRODUCTION = Reproduction(
     title="Figure 5.2: iRPR and EM with a fixed number of nodes",
     panels=tuple(panel for name in STEPS for panel in panels(name)),
+    columns=2,
     notes=(
         "iRPR learns online, from the newest 50 episodes and running statistics.",
         "recurrent-ppo and ours (predictive-actor-critic) have 2 seeds and 60,000 steps.",
