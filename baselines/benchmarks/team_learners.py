@@ -59,13 +59,13 @@ class Problem:
 
 PROBLEMS = (
     Problem("bnprl/BroadcastChannel-v0", 9.26, 9.271, 150_000_000),
-    Problem("bnprl/RecyclingRobots-v0", 31.9, 31.929, 100_000_000),
+    Problem("bnprl/RecyclingRobots-v0", 31.9, 31.929, 50_000_000),
     Problem("bnprl/MeetingGrid-v0", 5.8, 5.820, 100_000_000),
     Problem("bnprl/BoxPushing-v0", 200.0, 224.43, 150_000_000),
     Problem("bnprl/MarsRovers-v0", 25.0, 26.94, 300_000_000),
-    Problem("bnprl/DecTiger-v0", 5.0, 13.448, 100_000_000),
+    Problem("bnprl/DecTiger-v0", 5.0, 13.448, 50_000_000),
     Problem("bnprl/GridTraffic-v0", 8.5, 9.5, 2_000_000),
-    Problem("pressure.dpomdp", None, None, 100_000_000),
+    Problem("pressure.dpomdp", None, None, 50_000_000),
 )
 
 

@@ -26,7 +26,6 @@ SHARES = {"explore": 1, "walk": 3, "refine": 1, "polish": 1}
 """Parts of the simulated steps that each activity gets."""
 
 
-
 @dataclass(frozen=True)
 class ControllerSearchConfig:
     """Settings of `ControllerSearch`; the same serve every problem of the suite."""

@@ -16,7 +16,14 @@ from bnprl_agents.search.simulator import simulator_of
 from bnprl_agents.search.stepwise_simulator import StepwiseSimulator
 from bnprl_agents.search.tables import DecisionTables
 from bnprl_agents.search.tabular_simulator import TabularSimulator
-from bnprl_envs import GridTraffic, GridTrafficBatch, TabularParallelBatch, TabularParallelEnv
+from bnprl_agents.search.walking import walk
+from bnprl_envs import (
+    GridTraffic,
+    GridTrafficBatch,
+    TabularModel,
+    TabularParallelBatch,
+    TabularParallelEnv,
+)
 from tests.agents.cases import random_model
 
 SMALL = ControllerSearchConfig(
@@ -107,6 +114,26 @@ def test_shapes_of_memory():
     assert MemoryShape(2, 0).nodes(100) == 2
     assert MemoryShape(1, 2) not in shapes(9, 3, 2, 64)
     assert len(set(shapes(2, 6, 2, 64))) == len(shapes(2, 6, 2, 64))
+
+
+def test_a_marked_clock_tells_how_long_the_mark_was_not_seen():
+    seen = np.array([[True, True, True, False]])
+    shape = MemoryShape(4, 1, 5)  # the mark is observation 5 modulo 3
+    team = random_tables(shape, np.zeros(1, int), np.array([2]), seen, 16, np.random.default_rng(0))
+    assert team.reachable().sum() == shape.nodes(3) == 8
+    successor = team.successor[0, 0]
+
+    def node(*observations):
+        where = team.start
+        for o in observations:
+            where = successor[where, o]
+        return where
+
+    assert node(3, 0) != node(3, 0, 0) != node(3, 0, 0, 0) == node(3, 0, 0, 0, 0)
+    assert node(3, 0, 1) == node(3, 1, 1) == node(3, 1, 0, 2, 0, 1)
+    assert node(3, 0, 2) == node(3, 0, 0, 1, 2)
+    assert shape._replace(mark=2) in shapes(3, 4, 1, 8)
+    assert shape._replace(mark=2) not in shapes(3, 4, 1, 7)
 
 
 def test_memory_of_a_period_is_what_was_seen_since_it_began():
@@ -307,6 +334,29 @@ def test_responses_in_turn_never_lose():
     after = respond_in_turn(simulator, team, seeds(128), 0.9, rng)
     before, found = (simulator.returns(t, seeds(128)).mean() for t in (team, after))
     assert found > before + 5.0
+
+
+def test_a_walk_leaves_where_nobody_gains_alone():
+    """In the meeting of two at two doors each alone prefers the door that the other goes to."""
+    reward = np.diag([1.0, 2.0]).reshape(4, 1, 1, 1) - 0.5
+    model = TabularModel(
+        transition=np.ones((4, 1, 1)),
+        observation=np.ones((4, 1, 1)),
+        reward=reward,
+        start=np.ones(1),
+        discount=0.9,
+        action_sizes=(2, 2),
+        observation_sizes=(1, 1),
+    )
+    simulator, rng = simulate(model), np.random.default_rng(0)
+    worse = DecisionTables(
+        np.arange(2), np.zeros((1, 2, 1), np.int32), np.zeros((1, 2, 2, 2), np.int32)
+    )
+    stays = respond_in_turn(simulator, worse, seeds(8), 0.9, rng)
+    assert stays.action.tolist() == [[[0], [0]]]
+    here, best = walk(simulator, worse, seeds(8), 0.9, rng)
+    assert here.team.action.tolist() == best.team.action.tolist() == [[[1], [1]]]
+    assert best.value == simulator.returns(best.team, seeds(8)).mean()
 
 
 def test_roles():
