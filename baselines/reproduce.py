@@ -246,7 +246,8 @@ def markdown(reproduction: Reproduction, tables: Sequence[Mapping[str, Any]], qu
 
 def _markdown_table(rows: Sequence[Sequence[str]]) -> list[str]:
     numbers = "|".join([" :--- ", *[" ---: "] * (len(rows[0]) - 1)])
-    lines = [f"| {' | '.join(line)} |" for line in rows]
+    escaped = ([cell.replace("|", "\\|") for cell in line] for line in rows)
+    lines = [f"| {' | '.join(line)} |" for line in escaped]
     return [lines[0], f"|{numbers}|", *lines[1:]]
 
 

@@ -149,11 +149,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     runs: dict[str, Curves] = {}
     for panel in find("figure-3.2").panels:
         if isinstance(panel, Comparison):
-            experiment = panel.sized(options.quick)
-            found = finished_runs(read_runs(experiment, options.folder / panel.name))
-            if missing := [name for name, finished in found.items() if not finished]:
-                parser.error(f"{options.folder / panel.name}: no finished run of {missing[0]}")
-            runs[panel.name] = found
+            for name, experiment in panel.sized(options.quick).items():
+                found = finished_runs(read_runs(experiment, options.folder / name))
+                if missing := [who for who, finished in found.items() if not finished]:
+                    parser.error(f"{options.folder / name}: no finished run of {missing[0]}")
+                runs[name] = found
     passed = judge_gridworld(runs["gridworld"])
     passed &= judge_pendulum(runs["pendulum"] | runs["pendulum-deep"])
     passed &= judge_puddles(runs["puddles"] | runs["puddles-deep"])

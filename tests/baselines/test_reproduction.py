@@ -172,7 +172,7 @@ def test_the_star_diverges_on_fixed_bases_only():
 
 
 def test_plot_draws_values_and_refuses_what_has_none(tmp_path, capsys):
-    for agent in ("gpq", "random"):
+    for agent in ("gpq", "predictive-actor-critic"):
         arguments = [
             "train",
             "bnprl/Gridworld-v0",
@@ -187,6 +187,7 @@ def test_plot_draws_values_and_refuses_what_has_none(tmp_path, capsys):
     policy = tmp_path / "gpq" / "runs" / "gpq" / "0.policy.npz"
     assert cli.main(["plot", str(policy)]) == 0
     assert policy.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
-    other = tmp_path / "random" / "runs" / "random" / "0.policy.npz"
+    agent = "predictive-actor-critic"
+    other = tmp_path / agent / "runs" / agent / "0.policy.npz"
     assert cli.main(["plot", str(other)]) == 2
     assert "holds neither action values nor controllers" in capsys.readouterr().err
