@@ -169,7 +169,12 @@ class SB3VecEnv(VecEnv):
             for copy in np.flatnonzero(done).tolist():
                 self._report(copy, bool(truncated[copy] and not terminated[copy]), infos)
             self._begin(done)
-        return self._stack, np.repeat(self._scaled(reward, done), rows), np.repeat(done, rows), infos
+        return (
+            self._stack,
+            np.repeat(self._scaled(reward, done), rows),
+            np.repeat(done, rows),
+            infos,
+        )
 
     def _scaled(self, reward: Array, done: Array) -> Array:
         if self._discount is None:
