@@ -72,7 +72,8 @@ class SB3Learner:
         self.settings = settings
         self._spaces = agent_spaces(env)
         encoder = build_encoder(settings, self._spaces[0])
-        self._env = SB3VecEnv(env, encoder)
+        scaled_by = None if settings.team is None else environment.discount
+        self._env = SB3VecEnv(env, encoder, scaled_by)
         first, second = np.random.SeedSequence(seed).generate_state(2)
         self._models = self._build_models(environment.discount, int(first))
         self._latest = [_Latest() for _ in self._models]

@@ -94,6 +94,7 @@ class SharedPPOSettings(PPOSettings):
 
     The network sees an agent's own observations and which agent it is, as a one-hot index, so
     the agents may still act differently. Each agent's steps count as those of one more copy.
+    Rewards of teams, up to 100 in size, are divided by the running spread of the returns.
     """
 
     team: ClassVar[Team] = "shared"

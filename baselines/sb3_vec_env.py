@@ -14,6 +14,7 @@ import numpy.typing as npt
 from gymnasium.spaces import Box, Discrete, MultiDiscrete
 from gymnasium.vector import AutoresetMode, VectorEnv
 from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import VecEnv
 
 Array = npt.NDArray[Any]
@@ -103,6 +104,8 @@ class SB3VecEnv(VecEnv):
     Args:
         env: its autoreset mode is DISABLED.
         encoder: of its observations.
+        discount: if given, the rewards that are passed on are divided by the running standard
+            deviation of returns with this discount, as `VecNormalize` does.
 
     Attributes:
         env: the vector environment.
@@ -115,7 +118,9 @@ class SB3VecEnv(VecEnv):
         ValueError: autoreset is on.
     """
 
-    def __init__(self, env: VectorEnv[Any, Any, Any], encoder: Encoder) -> None:
+    def __init__(
+        self, env: VectorEnv[Any, Any, Any], encoder: Encoder, discount: float | None = None
+    ) -> None:
         if env.metadata.get("autoreset_mode") is not AutoresetMode.DISABLED:
             raise ValueError("the environment's autoreset_mode must be DISABLED")
         self.env = env
@@ -127,6 +132,9 @@ class SB3VecEnv(VecEnv):
         self._stack = np.zeros((env.num_envs * encoder.rows, 0), dtype=np.float32)
         self._returns = np.zeros(env.num_envs)
         self._lengths = np.zeros(env.num_envs, dtype=np.int64)
+        self._discount = discount
+        self._spread = RunningMeanStd(shape=())
+        self._discounted = np.zeros(env.num_envs)
         self._actions: Array = np.zeros(0, dtype=np.int64)
         action_space = env.single_action_space
         if isinstance(action_space, MultiDiscrete):
@@ -139,6 +147,7 @@ class SB3VecEnv(VecEnv):
         self._reset_options()
         self._returns[:] = 0.0
         self._lengths[:] = 0
+        self._discounted[:] = 0.0
         self._stack = self.encoder.encode(observation)
         return self._stack
 
@@ -160,7 +169,20 @@ class SB3VecEnv(VecEnv):
             for copy in np.flatnonzero(done).tolist():
                 self._report(copy, bool(truncated[copy] and not terminated[copy]), infos)
             self._begin(done)
-        return self._stack, np.repeat(reward, rows), np.repeat(done, rows), infos
+        return (
+            self._stack,
+            np.repeat(self._scaled(reward, done), rows),
+            np.repeat(done, rows),
+            infos,
+        )
+
+    def _scaled(self, reward: Array, done: Array) -> Array:
+        if self._discount is None:
+            return reward
+        self._discounted = self._discount * self._discounted + reward
+        self._spread.update(self._discounted)
+        self._discounted[done] = 0.0
+        return np.asarray(reward / np.sqrt(self._spread.var + 1e-8))
 
     def _report(self, copy: int, truncated: bool, infos: list[dict[str, Any]]) -> None:
         """Fill the infos of a copy whose episode has ended."""

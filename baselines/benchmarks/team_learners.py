@@ -138,9 +138,9 @@ def report(problem: Problem, runs: list[Run]) -> bool:
     """Print the verdict on a problem and return it."""
     values = [r.value for r in runs]
     mean, slowest = float(np.mean(values)), max(r.seconds for r in runs)
-    wanted = problem.wanted
-    if wanted is None:
-        wanted = memoryless_joint_policy(problem.model(), discount=DISCOUNT).value
+    wanted, model = problem.wanted or 0.0, problem.model()
+    if problem.wanted is None and model:
+        wanted = memoryless_joint_policy(model, discount=DISCOUNT).value
     good = mean >= wanted - 1e-9 and slowest <= SECONDS
     goal = "" if problem.goal is None else f", goal {problem.goal:.3f}"
     print(

@@ -28,14 +28,14 @@ from bnprl_agents.training import train
 from bnprl_envs import GridTrafficBatch
 from bnprl_envs.hand_coded import POLICIES, follow_longer_queue
 from bnprl_envs.registry import Reference
-from bnprl_envs.team import agent_spaces
+from bnprl_envs.team import agent_names, agent_spaces
 
 ID = "bnprl/GridTraffic-v0"
 HELP = 0.1
 """Probability of the heuristic's action, as in Wu et al. 2013."""
 COPIES = 50
 UNITS = "units that pass in a step"
-SIZES = {"nodes": 4, "batch_episodes": 100}
+SIZES: dict[str, Any] = {"nodes": 4, "batch_episodes": 100}
 
 
 def hand_coded() -> tuple[Reference, ...]:
@@ -92,7 +92,7 @@ def curve(agent: ControllerAgent, episodes: int, seed: int) -> tuple[list[float]
 
         def act(seen: Any, t: int) -> Any:
             nonlocal state
-            names = agent.names
+            names = agent_names(seen.shape[1])
             actions, state = agent.predict(dict(zip(names, seen.T, strict=True)), state)
             return np.stack([actions[name] for name in names], axis=1)
 

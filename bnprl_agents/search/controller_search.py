@@ -212,8 +212,8 @@ class ControllerSearch(ControllerAgent):
         if fresh.size:
             label = int(self.rng.choice(fresh))
         else:  # the best walk, or any of the better half
-            best = self.rng.random() < 0.5
-            label = int(walking[0 if best else self.rng.integers((walking.size + 1) // 2)])
+            half = 1 if self.rng.random() < 0.5 else (walking.size + 1) // 2
+            label = int(walking[self.rng.integers(half)])
         if fresh.size:
             team = random_tables(
                 known[label], self.roles, self.role_actions, self.seen, self.config.nodes, self.rng

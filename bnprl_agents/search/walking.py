@@ -71,7 +71,7 @@ def disturbed(
     arrivals = np.zeros(team.action.shape[2])
     np.add.at(arrivals, team.successor[0, role], simulator.visits(team, seeds)[role])
     share = np.sqrt(arrivals) / np.sqrt(arrivals).sum()
-    size = min(int(rng.integers(1, CHANGES, endpoint=True)), np.count_nonzero(share))
+    size = min(int(rng.integers(1, CHANGES, endpoint=True)), int(np.count_nonzero(share)))
     nodes = rng.choice(share.size, size=size, replace=False, p=share)
     action = team.action.copy()
     action[0, role, nodes] = rng.integers(simulator.action_sizes[agent], size=size)
