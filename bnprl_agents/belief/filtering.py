@@ -35,6 +35,7 @@ class Sequences(NamedTuple):
         actions: (S,).
         after: (S,) observation after each action.
         terminated: (K,).
+        rewards: (S,) after each action; filters do not see them.
     """
 
     offsets: IntArray
@@ -42,6 +43,7 @@ class Sequences(NamedTuple):
     actions: IntArray
     after: IntArray
     terminated: BoolArray
+    rewards: FloatArray
 
     @staticmethod
     def of(episodes: EpisodeBatch) -> Sequences:
@@ -49,7 +51,9 @@ class Sequences(NamedTuple):
         seen, actions = episodes.observations[:, 0], episodes.actions[:, 0]
         after = np.roll(seen, -1)
         after[episodes.offsets[1:] - 1] = episodes.final_observations[:, 0]
-        return Sequences(episodes.offsets, seen, actions, after, episodes.terminated)
+        return Sequences(
+            episodes.offsets, seen, actions, after, episodes.terminated, episodes.rewards
+        )
 
     def chosen(self, episodes: IntArray) -> tuple[Sequences, IntArray]:
         """Some of the episodes, and the rows of their steps."""
@@ -62,6 +66,7 @@ class Sequences(NamedTuple):
             self.actions[rows],
             self.after[rows],
             self.terminated[episodes],
+            self.rewards[rows],
         ), rows
 
 
@@ -128,7 +133,7 @@ def predict(belief, move, emission, ahead):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, fastmath={"reassoc", "contract"}, error_model="numpy")
 def _forward(sequences, filter_):  # type: ignore[no-untyped-def]
-    offsets, observations, actions, after, terminated = sequences
+    offsets, observations, actions, after, terminated, _ = sequences
     n_states = filter_.initial.shape[1]
     before, ahead = np.zeros((actions.size, n_states)), np.zeros((actions.size, n_states))
     likelihood, final = np.zeros(actions.size), np.zeros((terminated.size, n_states))
@@ -150,7 +155,7 @@ def _forward(sequences, filter_):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, fastmath={"reassoc", "contract"}, error_model="numpy")
 def _backward(sequences, filter_, filtered, slope, prediction):  # type: ignore[no-untyped-def]
-    offsets, observations, actions, after, terminated = sequences
+    offsets, observations, actions, after, terminated, _ = sequences
     d_initial, d_emission = np.zeros(filter_.initial.shape), np.zeros(filter_.emission.shape)
     n_actions, n_states = filter_.termination.shape
     d_moves = np.zeros((n_actions, n_states, n_states + 1))

@@ -66,14 +66,31 @@ def policy_gradient(sequences: Sequences, policy: BeliefPolicy, surrogate: Surro
         *filter_gradient(sequences, policy.memory, memory, by_belief[:, states:], 0.0),
         action,
         sight,
+        np.zeros((len(policy.model.transition), states)),
     )
 
 
-def likelihood_gradient(
-    sequences: Sequences, model: Filter, weight: float
-) -> tuple[float, FilterLogits]:
-    """Log-likelihood a step of a model, and `weight` times its gradient by the model's logits."""
+def prediction_gradient(
+    sequences: Sequences, model: Filter, reward: FloatArray, scale: float, weight: float
+) -> tuple[float, FilterLogits, FloatArray]:
+    """Gradient of how well a model predicts observations, ends and rewards, a mean over the steps.
+
+    The objective is log p(o_{t+1} | h_t, a_t) - (r_t / scale - f_t . reward[a_t])^2 / 2.
+
+    Args:
+        sequences: K episodes of S steps.
+        model: predicts.
+        reward: (A, Z) mean reward of each action in each state, in scales.
+        scale: of the rewards.
+        weight: of the objective.
+
+    Returns:
+        The log-likelihood a step, and the gradient by the model's logits and by `reward`.
+    """
     way = run_filter(sequences, model)
-    steps, nothing = len(way.likelihood), np.zeros_like(way.before)
-    gradient = filter_gradient(sequences, model, way, nothing, weight / steps)
-    return float(np.log(way.likelihood).mean()), gradient
+    share, means = weight / len(way.likelihood), reward[sequences.actions]
+    error = share * (sequences.rewards / scale - (way.before * means).sum(axis=1))[:, None]
+    by_reward = np.zeros_like(reward)
+    np.add.at(by_reward, sequences.actions, error * way.before)
+    gradient = filter_gradient(sequences, model, way, error * means, share)
+    return float(np.log(way.likelihood).mean()), gradient, by_reward

@@ -104,7 +104,11 @@ class FilterLogits(NamedTuple):
 
 
 class Logits(NamedTuple):
-    """Unbounded parameters of a `BeliefPolicy`: `FilterLogits` of model and memory, its tables."""
+    """Unbounded parameters of a `BeliefPolicy`: `FilterLogits` of model and memory, its tables.
+
+    Of the model there is also `reward` (A, Z), the mean reward of each action in each state, which
+    only learning needs.
+    """
 
     initial: FloatArray
     transition: FloatArray
@@ -114,6 +118,7 @@ class Logits(NamedTuple):
     memory_emission: FloatArray
     action: FloatArray
     sight: FloatArray
+    reward: FloatArray
 
     @property
     def model(self) -> FilterLogits:
@@ -125,10 +130,10 @@ class Logits(NamedTuple):
         """Those of the memory."""
         return FilterLogits(*self[3:6])
 
-    def plus(self, model: FilterLogits) -> Logits:
+    def plus(self, model: FilterLogits, reward: FloatArray) -> Logits:
         """With something added to those of the model."""
         moved = (p + q for p, q in zip(self.model, model, strict=True))
-        return Logits._make((*moved, *self[3:]))
+        return Logits._make((*moved, *self[3:8], self.reward + reward))
 
     def policy(self) -> BeliefPolicy:
         """The policy that the logits stand for."""
@@ -149,7 +154,8 @@ def random_logits(
         _random_filter(size, n_actions, n_observations, rng) for size in (n_states, n_memory)
     )
     action = UNDECIDED * rng.normal(size=(n_states + n_memory, n_actions))
-    return Logits(*model, *memory, action, np.zeros((n_observations, n_actions)))
+    sight, reward = np.zeros((n_observations, n_actions)), np.zeros((n_actions, n_states))
+    return Logits(*model, *memory, action, sight, reward)
 
 
 def _random_filter(

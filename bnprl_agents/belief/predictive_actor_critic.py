@@ -12,8 +12,8 @@ from bnprl_agents.belief.filtering import Sequences
 from bnprl_agents.belief.gradient import (
     Surrogate,
     filtered,
-    likelihood_gradient,
     policy_gradient,
+    prediction_gradient,
 )
 from bnprl_agents.belief.learner import BeliefAgent
 from bnprl_agents.belief.policy import random_logits
@@ -46,7 +46,7 @@ class PredictiveActorCriticConfig(ProximalConfig):
     annealing_steps: float = 100_000.0
     """Steps after which the entropy weight falls as 1 / steps, the step size as its root."""
     prediction: float = 1.0
-    """Weight of the model's log-likelihood; 0 leaves the model to rewards, too."""
+    """Weight of the model's predictions; 0 leaves the model to the policy's gradient, too."""
     replay_batches: int = 500
     """Past batches, the latest, from which the prediction goes on learning."""
 
@@ -66,8 +66,9 @@ SQUARE_MEMORY, TINY = 0.995, 1e-7
 class PredictiveActorCritic(BeliefAgent):
     """Proximal policy optimisation on the beliefs of two filters learned on the way.
 
-    The first is a hidden Markov model: every observation is a training signal, and its likelihood,
-    on new episodes and on old ones alike, shapes the belief beside the policy's gradient. The
+    The first is a hidden Markov model: every observation, end and reward is a training signal, and
+    how well they are predicted, on new episodes and on old ones alike, shapes the belief beside the
+    policy's gradient. The
     second, a memory of the same form, is shaped by the policy's gradient alone and keeps what helps
     to act but not to predict. The policy is log-linear in both beliefs and the last observation;
     the advantages come from a critic that is linear in the beliefs, with weights of its own for
@@ -95,6 +96,7 @@ class PredictiveActorCritic(BeliefAgent):
         self.actor = Actor.begin(logits, self.n_observations, sum(sizes))
         self.policy = logits.policy()
         self.steps = 0
+        self.square_rewards = 0.0
         self.mean_length = FIRST_LENGTH
         self.replay: list[EpisodeBatch] = []
 
@@ -107,9 +109,14 @@ class PredictiveActorCritic(BeliefAgent):
         """Factor of the entropy weight and of the squared step size."""
         return min(1.0, self.config.annealing_steps / self.steps)
 
+    def reward_scale(self) -> float:
+        """Root of the mean square of all rewards so far; 1 if there was none."""
+        return float((self.square_rewards / self.steps) ** 0.5) if self.square_rewards else 1.0
+
     def learn(self, episodes: EpisodeBatch) -> Metrics:
         """Fit the critic, then climb likelihood and clipped objective."""
         self.steps += episodes.n_steps
+        self.square_rewards += float((episodes.rewards**2).sum())
         self.mean_length = episodes.n_steps / episodes.n_episodes
         self.replay = [*self.replay, episodes][-self.config.replay_batches :]
         likelihood = self._climb(episodes, self._judge(episodes))
@@ -156,10 +163,14 @@ class PredictiveActorCritic(BeliefAgent):
             some, rows = sequences.chosen(chosen)
             slope = policy_gradient(some, policy, surrogate.at(rows))
             if self.config.prediction > 0.0:
-                likelihood, ascent = likelihood_gradient(
-                    self._draw_old(), policy.model, self.config.prediction
+                likelihood, by_model, by_reward = prediction_gradient(
+                    self._draw_old(),
+                    policy.model,
+                    logits.reward,
+                    self.reward_scale(),
+                    self.config.prediction,
                 )
-                slope = slope.plus(ascent)
+                slope = slope.plus(by_model, by_reward)
                 likelihoods.append(likelihood)
             logits, moments = moments.ascend(
                 logits, slope, rate, square_memory=SQUARE_MEMORY, tiny=TINY
@@ -188,6 +199,7 @@ class PredictiveActorCritic(BeliefAgent):
         """Steps, Adam's updates, the advantages' scale and the episodes' mean length."""
         return {
             "steps": self.steps,
+            "square_rewards": self.square_rewards,
             "updates": self.actor.moments.updates,
             "scale": self.actor.scale,
             "mean_length": self.mean_length,
@@ -199,6 +211,7 @@ class PredictiveActorCritic(BeliefAgent):
         self.actor = self.actor.restored(arrays, int(counters["updates"]), float(counters["scale"]))
         self.policy = self.actor.logits.policy()
         self.steps = int(counters["steps"])
+        self.square_rewards = float(counters["square_rewards"])
         self.mean_length = float(counters["mean_length"])
         ends = np.cumsum(arrays["replay_sizes"].astype(np.int64))
         fields = EpisodeBatch.__dataclass_fields__

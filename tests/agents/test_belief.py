@@ -13,8 +13,8 @@ from bnprl_agents.belief.filtering import Sequences, filter_gradient, run_filter
 from bnprl_agents.belief.gradient import (
     Surrogate,
     filtered,
-    likelihood_gradient,
     policy_gradient,
+    prediction_gradient,
 )
 from bnprl_agents.belief.policy import FilterLogits, random_logits
 from bnprl_agents.belief.predictive_actor_critic import (
@@ -65,7 +65,7 @@ def test_the_likelihood_is_the_sum_over_all_paths():
     model = logits.policy().model
     for k in EVERY:
         some, rows = Sequences.of(episodes).chosen(np.array([k]))
-        found, _ = likelihood_gradient(some, model, 1.0)
+        found, *_ = prediction_gradient(some, model, np.zeros((ACTIONS, STATES)), 1.0, 1.0)
         assert found * rows.size == pytest.approx(np.log(likelihood_of(episodes, model, k)))
 
 
@@ -111,20 +111,25 @@ def test_the_policys_gradient_is_that_of_finite_differences():
         )
 
 
-def test_the_likelihoods_gradient_is_that_of_finite_differences():
-    _, episodes, logits = case(1)
-    _, gradient = likelihood_gradient(Sequences.of(episodes), logits.policy().model, 0.7)
+def test_the_predictions_gradient_is_that_of_finite_differences():
+    rng, episodes, logits = case(1)
+    sequences, means = Sequences.of(episodes), rng.normal(size=(ACTIONS, STATES))
+    _, gradient, by_reward = prediction_gradient(sequences, logits.policy().model, means, 2.0, 0.7)
 
-    def likelihood(logits):
-        found = [np.log(likelihood_of(episodes, logits.filter(), k)) for k in EVERY]
-        return 0.7 * sum(found) / episodes.n_steps
+    def quality(model, means):
+        likelihood = sum(np.log(likelihood_of(episodes, model.filter(), k)) for k in EVERY)
+        before = run_filter(sequences, model.filter()).before
+        expected = (before * means[sequences.actions]).sum(axis=1)
+        misses = ((episodes.rewards / 2.0 - expected) ** 2).sum() / 2.0
+        return 0.7 * (likelihood - misses) / episodes.n_steps
 
     for name, slope in gradient._asdict().items():
         assert_slope(
             getattr(logits.model, name),
             slope,
-            lambda x, name=name: likelihood(logits.model._replace(**{name: x})),
+            lambda x, name=name: quality(logits.model._replace(**{name: x}), means),
         )
+    assert_slope(means, by_reward, lambda x: quality(logits.model, x))
 
 
 def test_without_objectives_nothing_moves():
