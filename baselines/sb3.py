@@ -31,7 +31,7 @@ from baselines.sb3_policy import (
     policy_keywords,
     save_sb3_policy,
 )
-from baselines.sb3_settings import DQNSettings, PPOSettings, SB3Settings
+from baselines.sb3_settings import DQNSettings, OnPolicySettings, PPOSettings, SB3Settings
 from baselines.sb3_vec_env import SB3VecEnv
 from bnprl_agents.training import Progress
 from bnprl_envs.team import agent_spaces
@@ -72,8 +72,8 @@ class SB3Learner:
         self.settings = settings
         self._spaces = agent_spaces(env)
         encoder = build_encoder(settings, self._spaces[0])
-        scaled_by = None if settings.team is None else environment.discount
-        self._env = SB3VecEnv(env, encoder, scaled_by)
+        scaled = isinstance(settings, OnPolicySettings) and settings.scale_rewards
+        self._env = SB3VecEnv(env, encoder, environment.discount if scaled else None)
         first, second = np.random.SeedSequence(seed).generate_state(2)
         self._models = self._build_models(environment.discount, int(first))
         self._latest = [_Latest() for _ in self._models]

@@ -38,6 +38,8 @@ class OnPolicySettings:
     """Last observations that the policy sees, where they are discrete; 1 is memoryless."""
     hidden_units: int = 64
     """Units of each of the two hidden layers of the actor and of the critic."""
+    scale_rewards: bool = False
+    """Divide the rewards by the running spread of the discounted returns."""
 
     def __post_init__(self) -> None:
         _check_counts(self)
@@ -94,7 +96,6 @@ class SharedPPOSettings(PPOSettings):
 
     The network sees an agent's own observations and which agent it is, as a one-hot index, so
     the agents may still act differently. Each agent's steps count as those of one more copy.
-    Rewards of teams, up to 100 in size, are divided by the running spread of the returns.
     """
 
     team: ClassVar[Team] = "shared"
@@ -103,6 +104,8 @@ class SharedPPOSettings(PPOSettings):
     """Steps of each copy between two updates."""
     batch_size: int = 400
     """Steps of a minibatch; a rollout is a multiple of it for any number of agents."""
+    scale_rewards: bool = True
+    """Divide the rewards, up to 100 in size, by the running spread of the discounted returns."""
 
 
 @dataclass(frozen=True)
@@ -115,6 +118,8 @@ class IndependentPPOSettings(PPOSettings):
     """Steps of each copy between two updates."""
     batch_size: int = 400
     """Steps of a minibatch; a rollout is a multiple of it for any number of agents."""
+    scale_rewards: bool = True
+    """Divide the rewards, up to 100 in size, by the running spread of the discounted returns."""
 
 
 @dataclass(frozen=True)
@@ -127,6 +132,8 @@ class SharedRecurrentPPOSettings(RecurrentPPOSettings):
     """Steps of each copy between two updates."""
     batch_size: int = 400
     """Steps of a minibatch; a rollout is a multiple of it for any number of agents."""
+    scale_rewards: bool = True
+    """Divide the rewards, up to 100 in size, by the running spread of the discounted returns."""
 
 
 @dataclass(frozen=True)
@@ -189,7 +196,7 @@ def _check_counts(settings: OnPolicySettings | DQNSettings) -> None:
     """Check that every integer is at least 1, and a step size positive."""
     for field in dataclasses.fields(settings):
         value = getattr(settings, field.name)
-        if isinstance(value, int) and value < 1:
+        if type(value) is int and value < 1:
             raise ValueError(f"{field.name}: {value}, must be at least 1")
     if not settings.learning_rate > 0.0:
         raise ValueError(f"learning_rate: {settings.learning_rate}, must be positive")

@@ -12,7 +12,7 @@ import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.evaluation import evaluate_policy
-from stable_baselines3.common.vec_env import VecCheckNan
+from stable_baselines3.common.vec_env import VecCheckNan, VecNormalize
 
 from baselines.environment import EnvironmentSpec
 from baselines.evaluation import evaluate
@@ -72,6 +72,19 @@ def adapter(frame_stack: int, copies: int = 2) -> SB3VecEnv:
 
 def weights(learner: SB3Learner) -> dict[str, Any]:
     return {name: w.numpy().copy() for name, w in learner.policy.networks[0].state_dict().items()}
+
+
+def test_adapter_divides_rewards_by_the_spread_of_returns() -> None:
+    batch = SyncVectorEnv(
+        [lambda: gym.make("test/Corridor-v0") for _ in range(4)],
+        autoreset_mode=AutoresetMode.DISABLED,
+    )
+    env, raw = SB3VecEnv(batch, Encoder(batch.single_observation_space), 0.9), adapter(1, copies=4)
+    reference = VecNormalize(raw, norm_obs=False, gamma=0.9, clip_reward=np.inf)
+    env.reset(), reference.reset()
+    for _ in range(12):
+        actions = np.array([1, 0, 1, 1])
+        np.testing.assert_allclose(env.step(actions)[1], reference.step(actions)[1], rtol=1e-6)
 
 
 def test_adapter_stacks_reports_ends_and_begins_anew() -> None:

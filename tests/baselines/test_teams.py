@@ -163,7 +163,7 @@ def test_independent_ppo_with_one_agent_is_ppo(monkeypatch: pytest.MonkeyPatch) 
         monkeypatch.setattr(EnvironmentSpec, "make_vec", lambda self, n, mode="": make_vec(n))
 
     corridors(lambda n: SyncVectorEnv([limited] * n, autoreset_mode=AutoresetMode.DISABLED))
-    alone = SB3Learner(CORRIDOR, PPOSettings(**numbers), seed=3)
+    alone = SB3Learner(CORRIDOR, PPOSettings(**numbers, scale_rewards=True), seed=3)
     slices = list(alone.learn(steps=256))
     corridors(lambda n: ParallelBatch(lambda: pairs.Alone(Corridor()), n))
     team = IndependentPPO(CORRIDOR, IndependentPPOSettings(**numbers), seed=3)
