@@ -256,7 +256,9 @@ def test_a_users_own_team_is_compared_by_its_module(tmp_path: Path) -> None:
     assert main([*arguments, *small, "--out", str(out)]) == 0
     (row,) = json.loads((out / "summary.json").read_bytes())["rows"]
     assert row["episodes"] == 48
-    assert main(["evaluate", str(out), "--episodes", "10", "--no-progress"]) == 0
+    evaluate_again = ["evaluate", str(out), "--episodes", "10", "--no-progress"]
+    assert main(evaluate_again) == 2  # a folder alone imports nothing
+    assert main([*evaluate_again, "--env", PAIR.id]) == 0
 
 
 @pytest.mark.parametrize(
