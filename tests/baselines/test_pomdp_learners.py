@@ -7,6 +7,7 @@ import pytest
 from baselines.benchmarks import pomdp_learners
 from baselines.benchmarks.pomdp_learners import (
     GOALS,
+    MACHINE,
     PARCELS,
     Goal,
     main,
@@ -17,6 +18,7 @@ from baselines.benchmarks.pomdp_learners import (
 )
 from baselines.benchmarks.run_records import Records, Score
 from bnprl_envs.memoryless import memoryless_joint_policy
+from bnprl_envs.stochastic_memoryless import stochastic_memoryless_policy
 
 MAZE = "bnprl/NoisyMaze1D-v0"
 AGENTS = "actor-critic", "predictive-actor-critic"
@@ -100,8 +102,13 @@ def test_a_file_of_something_else_is_refused(tmp_path):
         Records(path)
 
 
-def test_the_best_memoryless_policy_of_the_unseen_file_is_the_goal():
+def test_the_best_memoryless_policies_of_the_files_are_the_goals():
     model = spec_of(PARCELS).model()
     assert model is not None
     found = memoryless_joint_policy(model, restarts=5, seconds=None, seed=0).value
     assert GOALS[PARCELS][0].value == pytest.approx(found, abs=1e-5)
+    machine = spec_of(MACHINE).model()
+    assert machine is not None
+    assert memoryless_joint_policy(machine, restarts=5, seconds=None, seed=0).value < 7.0
+    stochastic = stochastic_memoryless_policy(machine, restarts=5, seconds=None, seed=0).value
+    assert GOALS[MACHINE][0].value == pytest.approx(stochastic, abs=1e-3)
