@@ -49,6 +49,8 @@ PENDULUM = (
     ),
     Entry("gq", "gq", RANGE | {"bases": 10, "rate_exponent": 0.3, "exploration_exponent": 0.3}),
 )
+EARLY = ("gpq", "gpq-optimistic", "linear-q", "gq")
+"""Contenders that balance at times within the first 200 steps."""
 DEEP_PENDULUM = (
     Entry(
         "dqn",
@@ -129,6 +131,20 @@ REPRODUCTION = Reproduction(
                 eval_points=5,
             ),
             quick={"seeds": 2, "eval_episodes": 10},
+            measure=LENGTH,
+        ),
+        Comparison(
+            "pendulum-early",
+            "The first steps of the same runs",
+            Experiment(
+                EnvironmentSpec("bnprl/InvertedPendulum-v0"),
+                tuple(entry for entry in PENDULUM if entry.name in EARLY),
+                steps=200,
+                seeds=20,
+                eval_episodes=100,
+                eval_points=10,
+            ),
+            quick={"seeds": 2, "eval_episodes": 10, "eval_points": 4},
             measure=LENGTH,
         ),
         Comparison(

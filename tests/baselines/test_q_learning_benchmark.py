@@ -53,3 +53,12 @@ def test_records_are_wanted(tmp_path, capsys):
         q_learning.main([str(tmp_path)])
     assert stopped.value.code == 2
     assert "no finished run of gpq" in capsys.readouterr().err
+
+
+def test_runs_get_the_evaluations_of_their_first_steps():
+    whole = {"one": [[record(200), record(400, length=2950.0)]], "two": [[record(200)]]}
+    early = {"one": [[record(20), record(40, length=2990.0)]]}
+    found = q_learning.joined(whole, early)
+    assert [r.steps for r in found["one"][0]] == [20, 40, 200, 400]
+    assert q_learning.first_steps(found["one"], q_learning.balanced).tolist() == [40.0]
+    assert found["two"] == whole["two"]
