@@ -23,9 +23,11 @@ def setup(app):
     """Write the pages of the environments and experiments before Sphinx reads its sources."""
     import experiments
     import generate
+    import learners
 
     def write(app):
         generate.write_pages(Path(app.srcdir) / "environments")
         experiments.write_pages(Path(app.srcdir) / "experiments")
+        learners.write_page(Path(app.srcdir) / "experiments")
 
     app.connect("builder-inited", write)

@@ -52,11 +52,12 @@ def listing(names: Sequence[str]) -> str:
     """Return the page that lists the experiments."""
     rows = [["experiment", "what it is"]]
     rows += [[f"[{name}]({name}.md)", reproduction.find(name).title] for name in names]
-    toctree = "\n".join(names)
+    toctree = "\n".join(["learners", *names])
     return f"""# Experiments
 
 Tables and figures of the source, remade by `bnprl reproduce NAME`, all of them by
-`bnprl reproduce --all`; `--quick` gives each of them two minutes.
+`bnprl reproduce --all`; `--quick` gives each of them two minutes. [What the strong learners
+reach](learners.md) is on a page of its own.
 
 {table(rows)}
 

@@ -102,3 +102,13 @@ def test_a_good_policy_is_better_than_a_random_one(generate, name, monkeypatch, 
     generate.save_picture(good, tmp_path / "good.gif")
     with Image.open(tmp_path / "good.gif") as picture:
         assert picture.n_frames > 1
+
+
+def test_the_readme_has_the_kept_numbers():
+    learners = script("learners")
+    readme = README.read_text("utf-8")
+    assert readme.count(learners.BEGIN) == readme.count(learners.END) == 1
+    assert learners.with_tables(readme) == readme, "run python docs/learners.py"
+    header, *body = learners.team_table()
+    assert len(body) >= 5
+    assert {len(row) for row in body} == {len(header)}

@@ -1,0 +1,126 @@
+"""What the strong learners reach, as tables made from the records in baselines/results.
+
+`python docs/learners.py` writes the page docs/experiments/learners.md and the tables of the README,
+between its two marks; a test holds the README to them.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from baselines.benchmarks import pomdp_learners, team_learners
+from baselines.report import DASH, number
+from baselines.statistics import mean_interval
+from bnprl_envs import registry
+
+ROOT = Path(__file__).parents[1]
+RESULTS = ROOT / "baselines" / "results"
+BEGIN, END = "<!-- learners: begin -->", "<!-- learners: end -->"
+HEADER = ["environment", "steps", "mean", "95% interval", "best seed", "seeds", "best memoryless"]
+HEADER += ["best known", "CPU seconds a seed"]
+
+
+def rows(path: Path) -> list[dict[str, Any]]:
+    """Return the records of a file of JSON lines, none where there is no file."""
+    return [json.loads(line) for line in path.read_text().splitlines()] if path.is_file() else []
+
+
+def pomdp_table() -> list[list[str]]:
+    """Return the table of the learner of POMDPs, header first: a row for each goal."""
+    found: dict[tuple[str, int], list[dict[str, Any]]] = defaultdict(list)
+    for record in rows(RESULTS / "pomdp-learners" / "records.jsonl"):
+        run = record["run"]
+        for goal, score in zip(run["goals"], record["scores"], strict=True):
+            found[run["environment"], goal].append(score)
+    ordered = [
+        (env, goal.steps)
+        for env, goals in pomdp_learners.GOALS.items()
+        for goal in goals
+        if (env, goal.steps) in found
+    ]
+    return [HEADER, *(row(env, steps, found[env, steps]) for env, steps in ordered)]
+
+
+def team_table() -> list[list[str]]:
+    """Return the table of the search for teams, header first."""
+    found: dict[str, list[dict[str, Any]]] = defaultdict(list)
+    for record in rows(RESULTS / "team-learners" / "runs.jsonl"):
+        found[record["problem"]].append(record)
+    ordered = [problem for problem in team_learners.PROBLEMS if problem.name in found]
+    return [HEADER, *(row(each.name, each.steps, found[each.name]) for each in ordered)]
+
+
+def row(env: str, steps: int, scores: Sequence[dict[str, Any]]) -> list[str]:
+    """Return the cells of one environment at a budget of environment steps."""
+    values = [score["value"] for score in scores]
+    interval = mean_interval(values)
+    known = known_values(env)
+    low, high = number(interval.low, ".4g"), number(interval.high, ".4g")
+    return [
+        env.removeprefix("bnprl/").removesuffix("-v0"),
+        number(steps, ","),
+        number(interval.mean, ".4g"),
+        DASH if interval.low is None else f"{low} to {high}",
+        number(max(values), ".4g"),
+        number(len(values), ","),
+        number(known.get("memoryless"), ".4g"),
+        number(known.get("lower"), ".4g"),
+        number(float(np.mean([score["seconds"] for score in scores])), ".0f"),
+    ]
+
+
+def known_values(env: str) -> dict[str, float]:
+    """Return what the registry knows; of a model file the goal, its best memoryless value."""
+    if env in (pomdp_learners.PARCELS, pomdp_learners.MACHINE):
+        return {"memoryless": pomdp_learners.GOALS[env][0].value}
+    if env not in registry.environment_ids():
+        return {}
+    return {reference.name: reference.value for reference in registry.entry(env).references}
+
+
+def markdown(cells: Iterable[Sequence[str]]) -> str:
+    """Return a table of Markdown, header first."""
+    header, *body = cells
+    lines = [header, ["---"] * len(header), *body]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def tables() -> str:
+    """Return both tables with what they are of."""
+    return f"""`predictive-actor-critic`, one agent, from episodes alone
+(`python -m baselines.benchmarks.pomdp_learners`):
+
+{markdown(pomdp_table())}
+
+`controller-search`, teams, from a simulator alone (`python -m baselines.benchmarks.team_learners`);
+grid traffic in units that pass in a step:
+
+{markdown(team_table())}
+
+Every row is of the same default settings. Simulated values, those of the first table and of grid
+traffic, may be above an optimum by chance."""
+
+
+def with_tables(readme: str) -> str:
+    """Return the README with the tables between its marks."""
+    before, _, rest = readme.partition(BEGIN)
+    _, _, after = rest.partition(END)
+    return f"{before}{BEGIN}\n{tables()}\n{END}{after}"
+
+
+def write_page(folder: Path) -> None:
+    """Write the page."""
+    folder.mkdir(exist_ok=True)
+    (folder / "learners.md").write_text(f"# What the learners reach\n\n{tables()}\n", "utf-8")
+
+
+if __name__ == "__main__":
+    write_page(ROOT / "docs" / "experiments")
+    path = ROOT / "README.md"
+    path.write_text(with_tables(path.read_text("utf-8")), "utf-8")
