@@ -59,20 +59,26 @@ DEEP_PENDULUM = (
     ),
     Entry("ppo", "ppo", {"n_envs": 8, "n_steps": 64, "batch_size": 128, "n_epochs": 10}),
 )
-GPQ_PUDDLES = {"bandwidth": [0.1], "budget": 400}
+GPQ_PUDDLES = {"bandwidth": [0.05], "budget": 400}
 PUDDLES = (
     Entry(
         "gpq",
         "gpq",
-        GPQ_PUDDLES
-        | {"noise": 1.0, "forgetting": 0.9, "prior_mean": -10.0, "exploration_exponent": 0.5},
+        GPQ_PUDDLES | {"noise": 0.1, "forgetting": 0.98, "exploration_exponent": 0.5},
     ),
     Entry(
         "gpq-optimistic",
         "gpq-optimistic",
-        GPQ_PUDDLES | {"noise": 0.03, "amplitude": 0.03, "forgetting": 0.98, "prior_mean": -30.0},
+        GPQ_PUDDLES
+        | {
+            "bandwidth": [0.1],
+            "noise": 0.03,
+            "amplitude": 0.03,
+            "forgetting": 0.98,
+            "prior_mean": -30.0,
+        },
     ),
-    Entry("gpq-as-printed", "gpq", GPQ_PUDDLES | {"noise": 1.0}),
+    Entry("gpq-as-printed", "gpq", GPQ_PUDDLES | {"bandwidth": [0.1], "noise": 1.0}),
     Entry(
         "tabular-q",
         "tabular-q",
