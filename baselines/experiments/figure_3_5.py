@@ -1,4 +1,4 @@
-"""Figure 3.5: steps to the goal of the puddle world with 400 bases of bandwidth .1; two diverge."""
+"""Figure 3.5: steps to the goal of the puddle world with 400 bases; fixed ones diverge."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ EXPERIMENT = Experiment(
 QUICK = {"seeds": 1, "steps": 15_000, "eval_points": 3, "eval_episodes": 10}
 
 REPRODUCTION = Reproduction(
-    title="Figure 3.5: puddle world, 400 bases of bandwidth .1",
+    title="Figure 3.5: puddle world, 400 bases",
     panels=(
         Comparison("steps", "steps to the goal", EXPERIMENT, QUICK, LENGTH),
         Comparison(
@@ -33,5 +33,7 @@ REPRODUCTION = Reproduction(
             logarithmic=True,
         ),
     ),
-    notes=("Both panels are of the same runs.",),
+    notes=(
+        "Both panels are of the same runs. Bandwidths are .1, but for gpq's of .05 (figure 3.2).",
+    ),
 )
