@@ -201,8 +201,8 @@ REPRODUCTION = Reproduction(
         "prior mean is not 0, which are not in the source. Without, gpq-as-printed, all targets "
         "weigh alike and the first, bootstrapped from nothing, hold the values back: the discount "
         "is .99, and the goal 36 steps away.",
-        "There gpq has a bandwidth of .05, the best of the fixed bases too; at .1 half of its seeds "
-        "end in loops.",
+        "There gpq has a bandwidth of .05, as the best fixed bases do; at .1 half of its seeds end "
+        "in loops.",
         "Every policy is evaluated greedily, apart from training.",
         "The source gives its figures as pictures, without numbers.",
     ),
