@@ -35,7 +35,7 @@ PENDULUM = (
     Entry(
         "gpq-optimistic",
         "gpq-optimistic",
-        RANGE | {"bandwidth": [0.1], "noise": 0.001, "amplitude": 0.01},
+        RANGE | {"bandwidth": [0.08], "noise": 0.001, "amplitude": 0.01},
     ),
     Entry(
         "tabular-q",
