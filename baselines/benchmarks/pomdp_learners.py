@@ -108,8 +108,9 @@ def run(
 
 def spec_of(env: str) -> EnvironmentSpec:
     """The environment of an id, or of a file beside this one."""
-    file = Path(__file__).with_name(f"{env}.POMDP")
-    return EnvironmentSpec(str(file) if env in (PARCELS, MACHINE) else env)
+    if env in (PARCELS, MACHINE):
+        return EnvironmentSpec(str(Path(__file__).with_name(f"{env}.POMDP")))
+    return EnvironmentSpec(env)
 
 
 def learner_of(name: str, spec: EnvironmentSpec, seed: int) -> AgentLearner:
