@@ -79,8 +79,8 @@ def known_values(env: str) -> dict[str, float]:
     """Return what the registry knows; of a model file the goal, its best memoryless value."""
     if env in (pomdp_learners.PARCELS, pomdp_learners.MACHINE):
         return {"memoryless": pomdp_learners.GOALS[env][0].value}
-    if env not in registry.environment_ids():
-        return {}
+    if env not in registry.environment_ids() or not registry.entry(env).kind.endswith("tabular"):
+        return {}  # grid traffic is scored in other units
     return {reference.name: reference.value for reference in registry.entry(env).references}
 
 
