@@ -15,12 +15,10 @@ from baselines.commands import environment_of
 from baselines.contenders import load_policy
 from baselines.environment import EnvironmentSpec
 from baselines.evaluation import Evaluation, evaluate
-from baselines.experiment import Experiment
-from baselines.own import is_own
 from baselines.records import RunFiles
 from baselines.report import DASH, number, print_table
 from baselines.statistics import mean_interval
-from baselines.study import load_study
+from baselines.study import load_study, trusted_environment
 from baselines.usage import usage_errors
 from bnprl_agents.policy_files import PolicyFileError
 
@@ -71,8 +69,9 @@ def _find_policies(options: Evaluate) -> tuple[EnvironmentSpec, list[tuple[str, 
         folder = target.resolve().parent.parent.parent
         if not (folder / "experiment.json").is_file():
             raise ValueError(f"{target}: lies in no experiment's folder; name it with --env ID")
-        return _trusted(load_study(folder).experiment), [(target.name, target)]
-    experiment = load_study(target).experiment
+        return trusted_environment(load_study(folder)), [(target.name, target)]
+    study = load_study(target)
+    experiment = study.experiment
     runs = (
         RunFiles(target, entry.name, index)
         for entry in experiment.entries
@@ -87,21 +86,8 @@ def _find_policies(options: Evaluate) -> tuple[EnvironmentSpec, list[tuple[str, 
         )
     if not policies:
         raise ValueError(f"{target}: holds no policy yet")
-    environment = _trusted(experiment) if options.env is None else environment_of(options.env)
+    environment = trusted_environment(study) if options.env is None else environment_of(options.env)
     return environment, policies
-
-
-def _trusted(experiment: Experiment) -> EnvironmentSpec:
-    """Return the environment that a record names, unless that would import a module.
-
-    Raises:
-        ValueError: it would.
-    """
-    if is_own(experiment.environment.id):
-        raise ValueError(
-            f"the folder names a module to import; allow it with --env {experiment.environment.id}"
-        )
-    return experiment.environment
 
 
 def _evaluation_row(name: str, results: Sequence[Evaluation], options: Evaluate) -> list[str]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from baselines.contenders import load_policy
 from baselines.environment import EnvironmentSpec
 from baselines.records import Record, read_records, write_atomic
-from baselines.study import load_study
+from baselines.study import load_study, trusted_environment
 from baselines.usage import usage_errors
 from bnprl_agents.value_learner import ValueAgent
 
@@ -45,7 +45,7 @@ def _environment(options: Plot) -> EnvironmentSpec | None:
         return EnvironmentSpec(options.env)
     folder = options.file.resolve().parent.parent.parent
     known = (folder / "experiment.json").is_file()
-    return load_study(folder).experiment.environment if known else None
+    return trusted_environment(load_study(folder)) if known else None
 
 
 def _values(policy: ValueAgent, environment: EnvironmentSpec | None) -> bytes:

@@ -88,6 +88,20 @@ def load_study(folder: Path) -> Study:
     return _read(folder)[1]
 
 
+def trusted_environment(study: Study) -> EnvironmentSpec:
+    """Return the environment that a record names, unless making it would import a module.
+
+    Raises:
+        ValueError: it would; only the command line may name one.
+    """
+    environment = study.experiment.environment
+    if is_own(environment.id):
+        raise ValueError(
+            f"the folder names a module to import; allow it with --env {environment.id}"
+        )
+    return environment
+
+
 def study_folders(folder: Path) -> list[Path]:
     """Return the folders of experiments: this one, or those in it that `reproduce` made.
 

@@ -55,10 +55,10 @@ def train(
 
     Where the environment is tabular and the agent learns controllers or belief policies, whole
     episodes are sampled by the compiled rollout instead of stepping copies. The two agree in law.
-    `ControllerSearch` gets a simulator of the environment (`simulator_of`), to which it hands its
-    own seeds; what it has under way when the budget ends is lost.
-    So is a learner of action values that learns from every step, with one copy, in a world of
-    `bnprl_envs.worlds`.
+    A learner of action values that learns from every step, with one copy, in a world of
+    `bnprl_envs.worlds`, is compiled with that world likewise. `ControllerSearch` gets a simulator
+    of the environment (`simulator_of`), to which it hands its own seeds; what it has under way when
+    the budget ends is lost.
 
     Args:
         agent: learns in place.

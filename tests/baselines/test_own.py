@@ -6,13 +6,14 @@ import sys
 from pathlib import Path
 
 import pytest
+from gymnasium.spaces import Discrete
 
 from baselines.cli import main
 from baselines.environment import EnvironmentSpec
 from baselines.experiment import Entry, Experiment
 from baselines.records import RunFiles, open_log
 from baselines.study import open_study
-from bnprl_agents import load
+from bnprl_agents import RandomAgent, load
 from examples.my_agent import Sarsa
 from tests.baselines.fakes import record
 
@@ -74,6 +75,10 @@ def test_a_strangers_records_import_nothing(
     assert main(["status", str(folder)]) == 0
     assert main(["report", str(folder)]) == 0
     assert main(["evaluate", str(folder), "--no-progress"]) == 2
+    assert "allow it with --env trap:Maze-v0" in capsys.readouterr().err
+    policy = RunFiles(folder, "x", 0).policy(".npz")
+    RandomAgent(Discrete(3), Discrete(2), discount=0.9, seed=0).save(policy)
+    assert main(["plot", str(policy)]) == 2
     assert "allow it with --env trap:Maze-v0" in capsys.readouterr().err
     known = Experiment(EnvironmentSpec("bnprl/CheeseMaze-v0"), (entry,), steps=500, eval_points=1)
     other = tmp_path / "other"
