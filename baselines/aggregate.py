@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from baselines.files import write_atomic
 from baselines.head_to_head import interquartile_mean, pairs, performance_profile
-from baselines.records import RecordError, write_atomic
+from baselines.records import RecordError
 from baselines.report import DASH, finished_runs, number, pair_table, print_table
 from baselines.study import load_study, read_runs, study_folders
 from baselines.usage import usage_errors

@@ -12,15 +12,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from baselines import reproduction
-from baselines.contenders import (
-    CONTENDERS,
-    EXTRA_MODULES,
-    MissingExtraError,
-    build_learner,
-)
+from baselines.contenders import CONTENDERS, EXTRA_MODULES, MissingExtraError
 from baselines.environment import EnvironmentSpec
 from baselines.experiment import Entry, Experiment, configured_entries
-from baselines.records import FolderInUseError, RecordError, RunFiles, folder_lock
+from baselines.files import FolderInUseError, folder_lock
+from baselines.learners import build_learner
+from baselines.records import RecordError, RunFiles
 from baselines.report import finished_runs, print_table, table, write_report
 from baselines.sb3_checks import check_served
 from baselines.status import failure

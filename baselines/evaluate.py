@@ -12,9 +12,9 @@ import numpy as np
 from tqdm import tqdm
 
 from baselines.commands import environment_of
-from baselines.contenders import load_policy
 from baselines.environment import EnvironmentSpec
 from baselines.evaluation import Evaluation, evaluate
+from baselines.learners import load_policy
 from baselines.records import RunFiles
 from baselines.report import DASH, number, print_table
 from baselines.statistics import mean_interval

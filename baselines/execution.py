@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from baselines.contenders import Learner, build_learner
 from baselines.evaluation import evaluate
 from baselines.experiment import Experiment
+from baselines.learners import Learner, build_learner
 from baselines.progress_bar import progress_bar
 from baselines.records import Record, Records, RunFiles, RunLog, open_log
 from baselines.study import read_runs

@@ -16,8 +16,8 @@ import numpy as np
 
 from baselines.contenders import Contender, contender
 from baselines.environment import EnvironmentSpec
+from baselines.files import check_name
 from baselines.own import is_own
-from baselines.records import check_name
 
 METRIC = "mean discounted return"
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from baselines.contenders import load_policy
 from baselines.environment import EnvironmentSpec
-from baselines.records import Record, read_records, write_atomic
+from baselines.files import write_atomic
+from baselines.learners import load_policy
+from baselines.records import Record, read_records
 from baselines.study import load_study, trusted_environment
 from baselines.usage import usage_errors
 from bnprl_agents.value_learner import ValueAgent

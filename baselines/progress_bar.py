@@ -12,7 +12,8 @@ from typing import Any
 from tqdm import tqdm
 
 from baselines.experiment import Experiment
-from baselines.records import RunFiles, parse_json
+from baselines.files import parse_json
+from baselines.records import RunFiles
 
 POLL_SECONDS = 0.5
 """Time between two looks at the records."""

@@ -11,33 +11,19 @@ import dataclasses
 import json
 import math
 import os
-import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
+from baselines.files import lock_file, parse_json
+
 LINE_LIMIT = 2**20
 """Longest line in bytes that is read."""
-
-try:
-    import fcntl
-except ImportError:  # not a POSIX system
-    fcntl = None  # type: ignore[assignment]
-
-
-WINDOWS_DEVICES = {"CON", "PRN", "AUX", "NUL"} | {
-    f"{d}{i}" for d in ("COM", "LPT") for i in range(10)
-}
-"""Names that no file there may have, whatever follows a dot."""
 
 
 class RecordError(ValueError):
     """A file of an experiment's folder that is not what it should be: `FILE:LINE: reason`."""
-
-
-class FolderInUseError(RuntimeError):
-    """Another command is writing to the same folder."""
 
 
 @dataclass(frozen=True)
@@ -174,7 +160,7 @@ def open_log(path: Path) -> Iterator[RunLog]:
     """Open a run's file, waiting for a writer that an earlier, killed command left behind."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("ab") as file:
-        _flock(file, wait=True)
+        lock_file(file, wait=True)
         yield RunLog(file)
 
 
@@ -183,7 +169,7 @@ def is_being_written(path: Path) -> bool:
     if not path.is_file():
         return False
     with path.open("rb") as file:
-        return not _flock(file, wait=False)
+        return not lock_file(file, wait=False)
 
 
 def read_records(path: Path) -> Records:
@@ -206,18 +192,6 @@ def read_records(path: Path) -> Records:
             lines.append(_record(value, where))
             size += len(text)
     return Records(tuple(lines), size, False)
-
-
-def parse_json(text: bytes) -> Any:
-    """Return the JSON value of a text, None if it is not JSON or holds NaN or an infinity."""
-    try:
-        return json.loads(text, parse_constant=_refuse_constant)
-    except (ValueError, RecursionError):
-        return None
-
-
-def _refuse_constant(name: str) -> None:
-    raise ValueError(f"{name} is not JSON")
 
 
 def _is_count(value: Any) -> bool:
@@ -267,61 +241,3 @@ def _record(value: Any, where: str) -> Record:
         if not check(value[key]):
             raise RecordError(f"{where}: {key} must be {wanted}")
     return Record(**value)
-
-
-def check_name(name: str) -> str:
-    """Return a name that may become a folder, on every system.
-
-    Raises:
-        ValueError: it may not.
-    """
-    if name.endswith(".") or name.partition(".")[0].upper() in WINDOWS_DEVICES:
-        raise ValueError(f"name {name!r}: Windows has no folder of this name")
-    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._+-]{0,99}", name):
-        raise ValueError(f"name {name!r}: letters, digits and . _ + - only, at most 100")
-    return name
-
-
-def write_atomic(path: Path, data: str | bytes) -> None:
-    """Write a file that appears by rename, whole or not at all.
-
-    Raises:
-        OSError: it cannot be written; the error names it.
-    """
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    try:
-        with partial.open("wb") as file:
-            file.write(data.encode() if isinstance(data, str) else data)
-            file.flush()
-            os.fsync(file.fileno())
-        partial.replace(path)
-    except OSError as error:
-        raise OSError(error.errno, error.strerror, str(path)) from error
-    finally:
-        partial.unlink(missing_ok=True)
-
-
-@contextlib.contextmanager
-def folder_lock(folder: Path) -> Iterator[None]:
-    """Hold a folder against other commands; the lock dies with the process.
-
-    Raises:
-        FolderInUseError: another process holds it.
-        OSError: the folder cannot be written.
-    """
-    folder.mkdir(parents=True, exist_ok=True)
-    with (folder / ".lock").open("ab") as file:
-        if not _flock(file, wait=False):
-            raise FolderInUseError(f"{folder}: another bnprl command is writing to this folder")
-        yield
-
-
-def _flock(file: BinaryIO, *, wait: bool) -> bool:
-    """Lock a file until it is closed; always true where the system has no `flock`."""
-    if fcntl is None:
-        return True
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
-    except BlockingIOError:
-        return False
-    return True

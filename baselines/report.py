@@ -14,8 +14,9 @@ import numpy.typing as npt
 
 from baselines.environment import EnvironmentSpec
 from baselines.experiment import METRIC, Experiment
+from baselines.files import write_atomic
 from baselines.head_to_head import Pair, pairs
-from baselines.records import Record, Records, RunFiles, write_atomic
+from baselines.records import Record, Records, RunFiles
 from baselines.statistics import CONFIDENCE, mean_interval
 from baselines.study import load_study, read_runs
 from bnprl_envs import registry

@@ -12,7 +12,8 @@ import numpy as np
 
 from baselines.commands import check_sb3, conduct, try_out, workers_of
 from baselines.experiment import Experiment
-from baselines.records import Record, write_atomic
+from baselines.files import write_atomic
+from baselines.records import Record
 from baselines.report import DASH, finished_runs, number, print_table, reference_rows
 from baselines.reproduction import (
     Comparison,

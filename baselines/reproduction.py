@@ -21,7 +21,8 @@ import numpy as np
 import numpy.typing as npt
 
 from baselines.experiment import Experiment
-from baselines.records import Record, check_name
+from baselines.files import check_name
+from baselines.records import Record
 from baselines.report import REFERENCE_NAMES
 from bnprl_envs import registry
 from bnprl_envs.registry import Reference

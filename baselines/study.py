@@ -14,8 +14,9 @@ from typing import Any
 
 from baselines.environment import EnvironmentSpec
 from baselines.experiment import Entry, Experiment
+from baselines.files import parse_json, write_atomic
 from baselines.own import is_own
-from baselines.records import RecordError, Records, RunFiles, parse_json, write_atomic
+from baselines.records import RecordError, Records, RunFiles
 
 FILE = "experiment.json"
 FILE_LIMIT = 2**24

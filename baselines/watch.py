@@ -14,9 +14,9 @@ import gymnasium as gym
 import numpy as np
 from tqdm import tqdm
 
-from baselines.contenders import load_policy
 from baselines.environment import EnvironmentSpec
 from baselines.evaluation import Policy
+from baselines.learners import load_policy
 from baselines.usage import usage_errors
 from baselines.watch_pictures import beside, beside_as_text, write_gif
 from bnprl_envs import registry

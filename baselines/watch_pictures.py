@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
-from baselines.records import write_atomic
+from baselines.files import write_atomic
 from bnprl_envs.rendering import theme
 from bnprl_envs.rendering.canvas import Canvas
 from bnprl_envs.tables import FloatArray

@@ -14,9 +14,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from baselines.contenders import build_learner, contender
+from baselines.contenders import contender
 from baselines.environment import EnvironmentSpec
 from baselines.evaluation import evaluate
+from baselines.learners import build_learner
 
 HALLWAY = EnvironmentSpec("bnprl/Hallway-v0")
 WANTED = {"online-em": 0.30, "batch-em": 0.36}

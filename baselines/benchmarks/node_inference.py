@@ -15,8 +15,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from baselines.contenders import build_learner, contender
+from baselines.contenders import contender
 from baselines.environment import EnvironmentSpec
+from baselines.learners import build_learner
 from baselines.statistics import Interval, mean_interval
 from bnprl_agents.controllers.value import controller_value
 

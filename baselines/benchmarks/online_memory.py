@@ -14,8 +14,9 @@ import sys
 import time
 from typing import Any
 
-from baselines.contenders import build_learner, contender
+from baselines.contenders import contender
 from baselines.environment import EnvironmentSpec
+from baselines.learners import build_learner
 
 HALLWAY = EnvironmentSpec("bnprl/Hallway-v0")
 EPISODES = (1_000, 5_000, 20_000, 50_000)

@@ -23,9 +23,10 @@ import numpy as np
 from tqdm import tqdm
 
 from baselines.benchmarks.run_records import Records, Score
-from baselines.contenders import AgentLearner, build_learner, contender
+from baselines.contenders import contender
 from baselines.environment import EnvironmentSpec
 from baselines.evaluation import evaluate
+from baselines.learners import AgentLearner, build_learner
 from baselines.statistics import mean_interval
 from bnprl_agents.agent import Agent
 from bnprl_agents.history_agent import HistoryAgent

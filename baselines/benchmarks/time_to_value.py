@@ -23,9 +23,10 @@ import numpy as np
 from tqdm import tqdm
 
 from baselines.benchmarks.run_records import Records, Score
-from baselines.contenders import build_learner, contender
+from baselines.contenders import contender
 from baselines.environment import EnvironmentSpec
 from baselines.evaluation import evaluate
+from baselines.learners import build_learner
 from bnprl_envs import registry
 
 AGENTS = ("predictive-actor-critic", "recurrent-ppo", "ppo")

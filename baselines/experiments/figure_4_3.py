@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from baselines.contenders import build_learner, contender
+from baselines.contenders import contender
 from baselines.environment import EnvironmentSpec
 from baselines.evaluation import evaluate
+from baselines.learners import build_learner
 from baselines.reproduction import Computation, Lines, Reproduction, registered
 from bnprl_agents.controllers.controller import Controller
 from bnprl_agents.episodes import FloatArray, IntArray

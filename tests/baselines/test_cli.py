@@ -16,7 +16,8 @@ from gymnasium.spaces import Discrete
 from baselines.cli import main
 from baselines.contenders import CONTENDERS
 from baselines.experiment import Entry
-from baselines.records import RunFiles, folder_lock, read_records
+from baselines.files import folder_lock
+from baselines.records import RunFiles, read_records
 from baselines.study import open_study
 from bnprl_agents import RandomAgent
 from tests.baselines.fakes import experiment

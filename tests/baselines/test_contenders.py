@@ -10,15 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from baselines.contenders import (
-    CONTENDERS,
-    MissingExtraError,
-    build_learner,
-    contender,
-    load_policy,
-)
+from baselines.contenders import CONTENDERS, MissingExtraError, contender
 from baselines.environment import EnvironmentSpec
 from baselines.evaluation import evaluate
+from baselines.learners import build_learner, load_policy
 from bnprl_agents.policy_files import PolicyFileError
 
 HALLWAY = EnvironmentSpec("bnprl/Hallway-v0", {"max_episode_steps": 15})

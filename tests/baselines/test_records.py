@@ -6,17 +6,8 @@ from typing import Any
 
 import pytest
 
-from baselines.records import (
-    LINE_LIMIT,
-    FolderInUseError,
-    RecordError,
-    RunFiles,
-    check_name,
-    folder_lock,
-    open_log,
-    read_records,
-    write_atomic,
-)
+from baselines.files import FolderInUseError, check_name, folder_lock, write_atomic
+from baselines.records import LINE_LIMIT, RecordError, RunFiles, open_log, read_records
 from tests.baselines.fakes import record
 
 

@@ -11,7 +11,8 @@ from matplotlib.figure import Figure
 from baselines.curves import draw_curves, on_one_grid
 from baselines.environment import EnvironmentSpec
 from baselines.experiment import Entry, Experiment
-from baselines.records import RecordError, RunFiles, open_log, parse_json
+from baselines.files import parse_json
+from baselines.records import RecordError, RunFiles, open_log
 from baselines.report import summarise, write_report
 from baselines.study import open_study, read_runs
 from tests.baselines.fakes import FakeSettings, experiment, install, record

@@ -14,9 +14,10 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.wrappers import TimeLimit
 
 from baselines.cli import main
-from baselines.contenders import build_learner, contender, load_policy
+from baselines.contenders import contender
 from baselines.environment import EnvironmentSpec
 from baselines.evaluation import evaluate
+from baselines.learners import build_learner, load_policy
 from baselines.sb3 import SB3Learner
 from baselines.sb3_independent import IndependentPPO
 from baselines.sb3_settings import (
