@@ -6,7 +6,7 @@ import abc
 import dataclasses
 import importlib
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any, ClassVar
 
 import gymnasium as gym
@@ -21,6 +21,7 @@ from bnprl_agents.policy_files import (
     refusing_damage,
     write_policy,
 )
+from bnprl_agents.training import Budget, Progress, check_batch, step_copies
 
 Metrics = dict[str, float]
 
@@ -117,6 +118,18 @@ class Agent(abc.ABC):
     def finish(self) -> Metrics:
         """Learn from what `update` was still waiting to add to; {} if there is nothing."""
         return {}
+
+    def train_in(self, env: Any, budget: Budget, seed: int) -> Iterator[Progress]:
+        """Learn in an environment until the budget is spent, by stepping its copies.
+
+        Learners that know a faster way to the same end override this; see
+        `bnprl_agents.training.train`.
+
+        Raises:
+            ValueError: the environment will not do.
+        """
+        check_batch(env)
+        return step_copies(self, env, budget, seed)
 
     @abc.abstractmethod
     def predict(

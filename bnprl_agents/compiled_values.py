@@ -13,7 +13,7 @@ and returns the absolute error of the prediction.
 from __future__ import annotations
 
 import abc
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,8 +22,13 @@ from numba.extending import overload
 
 from bnprl_agents.agent import Metrics
 from bnprl_agents.episodes import FloatArray
+from bnprl_agents.training import Budget, Progress, check_batch, horizon_of
 from bnprl_agents.value_learner import Transitions, ValueAgent
-from bnprl_envs.worlds import advance, begin
+from bnprl_envs.worlds import advance, begin, world_of
+
+REPORTS = 200
+"""Reports of a compiled run whose budget is given in steps."""
+NO_LIMIT = np.iinfo(np.int64).max
 
 _FUNCTIONS: dict[type, tuple[Callable[..., Any], Callable[..., Any]]] = {}
 
@@ -63,6 +68,44 @@ class CompiledValueAgent(ValueAgent):
         """Learn transitions in order."""
         arrays = (np.ascontiguousarray(part) for part in transitions)
         return self.report(float(learn_in_order(self.learner, self.steps, *arrays)))
+
+    def train_in(self, env: Any, budget: Budget, seed: int) -> Iterator[Progress]:
+        """Learn from every step, compiled with the world if it is one; see `Agent.train_in`."""
+        check_batch(env)
+        world = world_of(env)
+        if world is None or not self.compiles or env.num_envs != 1:
+            return super().train_in(env, budget, seed)
+        return self._living(world, horizon_of(env) or NO_LIMIT, budget, np.random.default_rng(seed))
+
+    def _living(
+        self, world: tuple[Any, ...], horizon: int, budget: Budget, rng: np.random.Generator
+    ) -> Iterator[Progress]:
+        """Act and learn in a world; reports after every episode or every few steps."""
+        place = Place(self.features.points, self.features.offset, self.features.range)
+        exponent = self.config.exploration_exponent if self.explores else -1.0
+        state, elapsed = np.zeros(place.offset.size), np.zeros(1, dtype=np.int64)
+        done, taken, most_steps, most_episodes = 0, 0, NO_LIMIT, 1
+        while budget.allows(done, taken):
+            if budget.steps is not None:
+                most_steps = min(max(1, budget.steps // REPORTS), budget.steps - taken)
+                most_episodes = NO_LIMIT
+            steps, episodes, error = act_and_learn(
+                self.learner,
+                world,
+                place,
+                exponent,
+                horizon,
+                state,
+                elapsed,
+                self.steps,
+                most_steps,
+                most_episodes,
+                self.rng,
+                rng,
+            )
+            self.steps += steps
+            done, taken = done + episodes, taken + steps
+            yield Progress(done, taken, self.report(error))
 
 
 def register(kind: type, values: Callable[..., Any], learn: Callable[..., Any]) -> None:

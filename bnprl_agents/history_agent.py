@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import abc
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,6 +13,7 @@ from bnprl_agents.discrete import DiscreteSpaces
 from bnprl_agents.episodes import BoolArray, EpisodeBatch, FloatArray, IntArray
 from bnprl_agents.policy_files import Arrays
 from bnprl_agents.recorder import EpisodeRecorder
+from bnprl_agents.training import Budget, Progress, check_batch, horizon_of
 from bnprl_envs.model import TabularModel
 
 
@@ -89,6 +90,47 @@ class HistoryAgent(Agent):
 
     def check_reward(self, smallest: float) -> None:
         """Check that the learner can use rewards down to this one; it can, unless overridden."""
+
+    def train_in(self, env: Any, budget: Budget, seed: int) -> Iterator[Progress]:
+        """Learn from whole episodes, compiled where the model is known; see `Agent.train_in`.
+
+        Raises:
+            ValueError: as there, or the model has rewards that the learner cannot use.
+        """
+        check_batch(env)
+        model, horizon = getattr(env, "model", None), horizon_of(env)
+        if not isinstance(model, TabularModel) or horizon is None:
+            return super().train_in(env, budget, seed)
+        self.check_model(model)
+        return self._sampling(model, horizon, budget, np.random.default_rng(seed))
+
+    def check_model(self, model: TabularModel) -> None:
+        """Check that the learner can be trained on a model.
+
+        Raises:
+            ValueError: it cannot.
+        """
+        self.check_reward(smallest_reward(model))
+
+    def _sampling(
+        self, model: TabularModel, horizon: int, budget: Budget, rng: np.random.Generator
+    ) -> Iterator[Progress]:
+        """Sample and learn, batch by batch; the last one keeps the episodes that still fit."""
+        done, taken, earned, spent = 0, 0, 0.0, False
+        while budget.allows(done, taken) and not spent:
+            wanted = self.batch_episodes
+            if budget.episodes is not None:
+                wanted = min(wanted, budget.episodes - done)
+            batch = self.sample(model, episodes=wanted, horizon=horizon, rng=rng)
+            if budget.steps is not None and not budget.fits(taken + batch.n_steps):
+                spent = True
+                batch = batch.first(_fitting(batch, budget.steps - taken))
+            if batch.n_episodes:
+                done, taken = done + batch.n_episodes, taken + batch.n_steps
+                earned += float(batch.rewards.sum())
+                yield Progress(done, taken, self.learn(batch), earned)
+        if not done:
+            yield Progress(0, 0, reward=0.0)
 
     def reset(self, observation: Any, mask: BoolArray | None = None) -> None:
         """Begin new episodes; see `Agent.reset`. The number of copies may change if all begin."""
@@ -204,3 +246,17 @@ def _sample(probabilities: FloatArray, rng: np.random.Generator) -> IntArray:
     uniform = rng.random(len(cumulative))[:, None] * cumulative[:, -1:]
     index: IntArray = np.argmax(cumulative > uniform, axis=1)
     return index
+
+
+def smallest_reward(model: TabularModel) -> float:
+    """The smallest reward of any transition with any observation that is possible then."""
+    action, _, end = model.support
+    reward = model.support_reward
+    if reward.shape[1] > 1:
+        reward = reward[model.observation_rows[action * model.n_states + end].nonzero()]
+    return float(reward.min())
+
+
+def _fitting(batch: EpisodeBatch, steps: int) -> int:
+    """How many of the first episodes have no more than so many steps together."""
+    return int(np.searchsorted(batch.offsets, steps, side="right")) - 1

@@ -16,7 +16,8 @@ import numpy as np
 
 from bnprl_agents.controllers.stick_breaking import StickBreaking, StickBreakingConfig
 from bnprl_agents.controllers.value import controller_value
-from bnprl_agents.training import smallest_reward, train
+from bnprl_agents.history_agent import smallest_reward
+from bnprl_agents.training import train
 from bnprl_envs import TabularParallelBatch
 from bnprl_envs.team import agent_spaces
 

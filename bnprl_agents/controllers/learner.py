@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,10 +10,11 @@ import numpy as np
 from bnprl_agents.controllers.controller import Controller, random_controller
 from bnprl_agents.controllers.exploration import exploring_probability, team_exploring
 from bnprl_agents.controllers.messages import Counts, Messages
-from bnprl_agents.controllers.rollout import rollout
+from bnprl_agents.controllers.rollout import check_fit, rollout
 from bnprl_agents.episodes import EpisodeBatch, FloatArray, IntArray
 from bnprl_agents.history_agent import HistoryAgent
 from bnprl_agents.policy_files import Arrays
+from bnprl_agents.training import Budget, Progress, horizon_of
 from bnprl_envs.model import TabularModel
 
 
@@ -55,6 +56,24 @@ class ControllerAgent(HistoryAgent):
         super().__init__(observation_space, action_space, config, discount=discount, seed=seed)
         self.controllers = self.initial_controllers()
         self.explore = tuple(np.ones(c.n_nodes) for c in self.controllers)
+
+    def train_in(self, env: Any, budget: Budget, seed: int) -> Iterator[Progress]:
+        """Learn from whole episodes; see `HistoryAgent.train_in`.
+
+        Raises:
+            ValueError: as there, or the discount is 1 and episodes may last for ever.
+        """
+        if self.discount == 1.0 and horizon_of(env) is None:
+            raise ValueError(
+                "discount: 1, but the environment has no horizon, so that returns may have no "
+                "bound; give it max_episode_steps, or the agent a discount below 1"
+            )
+        return super().train_in(env, budget, seed)
+
+    def check_model(self, model: TabularModel) -> None:
+        """Check sizes too; see `HistoryAgent.check_model`."""
+        check_fit(model, self.controllers)
+        super().check_model(model)
 
     def sample(
         self, model: TabularModel, *, episodes: int, horizon: int, rng: np.random.Generator

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,9 +18,16 @@ from bnprl_agents.search.climbing import Climber
 from bnprl_agents.search.leaderboard import Leaderboard
 from bnprl_agents.search.memory import MemoryShape, random_tables, remembering_more, shapes
 from bnprl_agents.search.moves import ACT, BRANCH, REDIRECT, apply_moves, list_moves
-from bnprl_agents.search.simulator import TeamSimulator, UInt64Array
+from bnprl_agents.search.simulator import (
+    BudgetedSimulator,
+    BudgetSpentError,
+    TeamSimulator,
+    UInt64Array,
+    simulator_of,
+)
 from bnprl_agents.search.tables import DecisionTables
 from bnprl_agents.search.walking import walk
+from bnprl_agents.training import Budget, Progress
 
 SHARES = {"explore": 1, "walk": 3, "refine": 1, "polish": 1}
 """Parts of the simulated steps that each activity gets."""
@@ -71,7 +78,7 @@ class ControllerSearch(ControllerAgent):
     team is disturbed, or its nodes split by the last observation, and is refined again. All
     comparisons are paired on common random numbers, and candidates race by successive halving.
     It needs a simulator that can be reset by seeds, and never sees a model's tables;
-    `bnprl_agents.training.train` hands it one.
+    `train` makes one of the environment.
 
     Related: Amato, Bernstein and Zilberstein, JAAMAS 21, 2010 (controllers for Dec-POMDPs);
     Pajarinen and Peltonen, NIPS 2011 (periodic controllers); Ng and Jordan, UAI 2000 (common
@@ -130,6 +137,25 @@ class ControllerSearch(ControllerAgent):
             f"ControllerSearch cannot learn from {episodes.n_episodes} recorded episodes: call "
             "improve(simulator), or train(), which makes a simulator of the environment"
         )
+
+    def train_in(self, env: Any, budget: Budget, seed: int) -> Iterator[Progress]:
+        """Improve on a simulator of the environment; see `Agent.train_in`.
+
+        Raises:
+            ValueError: as `simulator_of`.
+        """
+        return self._improving(simulator_of(env, self.discount), budget)
+
+    def _improving(self, simulator: TeamSimulator, budget: Budget) -> Iterator[Progress]:
+        """Improve until a simulation would pass the budget; an episode counts its whole horizon."""
+        limit = budget.steps or (budget.episodes or 0) * simulator.horizon
+        budgeted = BudgetedSimulator(simulator, limit)
+        try:
+            while True:
+                metrics = self.improve(budgeted, limit - simulator.steps)
+                yield Progress(simulator.episodes, simulator.steps, metrics)
+        except BudgetSpentError:
+            yield Progress(simulator.episodes, simulator.steps)
 
     def improve(self, simulator: TeamSimulator, steps: int) -> Metrics:
         """Spend some steps on the activity that has had the fewest, and adopt the best team.

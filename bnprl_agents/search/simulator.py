@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from bnprl_agents.episodes import FloatArray, IntArray
 from bnprl_agents.search.tables import DecisionTables
+from bnprl_agents.training import horizon_of
 from bnprl_envs.grid_traffic_batch import GridTrafficBatch
 from bnprl_envs.model import TabularModel
 
@@ -134,9 +135,7 @@ def simulator_of(env: Any, discount: float) -> TeamSimulator:
     from bnprl_agents.search.tabular_simulator import TabularSimulator
     from bnprl_agents.search.traffic_simulator import TrafficSimulator
 
-    limit = getattr(env, "max_episode_steps", None)
-    if limit is None:
-        limit = getattr(getattr(env, "spec", None), "max_episode_steps", None)
+    limit = horizon_of(env)
     if limit is None:
         raise ValueError("environment: has no max_episode_steps, but the search needs a limit")
     model = getattr(env, "model", None)

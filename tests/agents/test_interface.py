@@ -20,9 +20,10 @@ from bnprl_agents.controllers.mcem import MonteCarloEM, MonteCarloEMConfig
 from bnprl_agents.controllers.online_em import OnlineEM, OnlineEMConfig
 from bnprl_agents.controllers.stick_breaking import StickBreaking, StickBreakingConfig
 from bnprl_agents.controllers.variational import VariationalBayes, VariationalBayesConfig
+from bnprl_agents.history_agent import smallest_reward
 from bnprl_agents.policy_files import PolicyFileError
 from bnprl_agents.random_agent import RandomAgent
-from bnprl_agents.training import Progress, smallest_reward, train
+from bnprl_agents.training import Progress, train
 from bnprl_envs.model import TabularModel
 from bnprl_envs.tabular_vector import TabularVectorEnv
 from tests.agents.cases import random_episodes

@@ -14,7 +14,7 @@ from bnprl_agents.gaussian_process.sparse_gp import SparseGP
 from bnprl_agents.policy_files import PolicyFileError
 from bnprl_agents.q_learning.linear_q import GQ, GQConfig, LinearQ, LinearQConfig
 from bnprl_agents.q_learning.tabular_q import TabularQ, TabularQConfig
-from bnprl_agents.training import _train_stepwise, train
+from bnprl_agents.training import Budget, step_copies, train
 from bnprl_envs import model
 from bnprl_envs.inverted_pendulum import InvertedPendulumVectorEnv
 from bnprl_envs.planning import policy_value
@@ -407,7 +407,7 @@ def test_compiled_and_stepped_training_agree_in_law():
             )
             loop = train(agent, env, seed=seed, steps=200)
             if not compiled:
-                loop = _train_stepwise(agent, env, seed, None, 200)
+                loop = step_copies(agent, env, Budget(steps=200), seed)
             *_, progress = loop
             assert progress.steps == agent.steps == 200
             last.append(agent.table.sum())
