@@ -1,7 +1,8 @@
 """A comparison that is killed and begun again must end like one that was left alone.
 
 `python -m tests.baselines.interruption --steps 8000 --seeds 2` shows it on the showcase of the
-README, Stable-Baselines3 included, with one job and with two; it exits 1 where a summary differs.
+README, Stable-Baselines3 included, with one job and with two, each killed several times at random
+moments; it exits 1 where a summary differs.
 """
 
 from __future__ import annotations
@@ -16,6 +17,8 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from baselines.records import read_records
 
@@ -72,6 +75,16 @@ def kill_after(arguments: Sequence[str], out: Path, n_lines: int, timeout: float
     return sum(lines(out).values())
 
 
+def kill_at(arguments: Sequence[str], seconds: float) -> None:
+    """Kill the command after some time, unless it ends before."""
+    process = command(*arguments)
+    try:
+        process.communicate(timeout=seconds)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.communicate()
+
+
 def main() -> int:
     """Show it once; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -80,23 +93,27 @@ def main() -> int:
     parser.add_argument("--steps", default="8000")
     parser.add_argument("--seeds", default="2")
     parser.add_argument("--eval-episodes", default="200")
+    parser.add_argument("--kills", type=int, default=5, help="of each command")
     parser.add_argument("--timeout", type=float, default=3600.0, help="seconds of each command")
     options = parser.parse_args()
     compare = ["compare", options.id, "--agents", *options.agents, "--steps", options.steps]
     compare += ["--seeds", options.seeds, "--eval-episodes", options.eval_episodes]
+    rng = np.random.default_rng(0)
     with tempfile.TemporaryDirectory() as folder:
-        whole = Path(folder) / "whole"
+        whole, begin = Path(folder) / "whole", time.monotonic()
         finish([*compare, "--no-progress", "--jobs", "1", "--out", str(whole)], options.timeout)
-        wanted, total = summary(whole), sum(lines(whole).values())
-        print(f"uninterrupted: {total} lines")
+        wanted, taken = summary(whole), time.monotonic() - begin
+        print(f"uninterrupted: {sum(lines(whole).values())} lines, {taken:.1f} s", flush=True)
         alike = []
         for jobs in ("1", "2"):
             out = Path(folder) / f"killed-{jobs}"
             arguments = [*compare, "--no-progress", "--jobs", jobs, "--out", str(out)]
-            reached = kill_after(arguments, out, total // 2, options.timeout)
+            for seconds in rng.uniform(0.0, taken, options.kills):
+                kill_at(arguments, seconds)
+                print(f"--jobs {jobs}: after {seconds:.1f} s {sum(lines(out).values())} lines")
             finish(arguments, options.timeout)
-            alike.append(reached < total and summary(out) == wanted)
-            print(f"--jobs {jobs}: killed at {reached} of {total} lines, alike: {alike[-1]}")
+            alike.append(summary(out) == wanted)
+            print(f"--jobs {jobs}: alike: {alike[-1]}", flush=True)
     return 0 if all(alike) else 1
 
 
