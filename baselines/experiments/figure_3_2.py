@@ -9,47 +9,32 @@ from baselines.environment import EnvironmentSpec
 from baselines.experiment import Entry, Experiment
 from baselines.reproduction import EXACT, LENGTH, RETURN, Comparison, Reproduction
 
-GRID = {"grid_columns": 5}
+SLOW_RATES = {"rate_exponent": 0.1, "exploration_exponent": 0.1}
+GRID = {"grid_columns": 5, "bandwidth": [0.5]}
+GRIDWORLD = (
+    Entry("gpq", "gpq", GRID | {"budget": 25, "exploration_exponent": 0.1}),
+    Entry("gpq-optimistic", "gpq-optimistic", GRID | {"budget": 25, "amplitude": 0.1}),
+    Entry("tabular-q", "tabular-q", SLOW_RATES),
+    Entry("linear-q", "linear-q", GRID | SLOW_RATES),
+    Entry("gq", "gq", GRID | SLOW_RATES),
+)
+
 RANGE = {"low": [-1.6, -5.0], "high": [1.6, 5.0]}
 """Of angle and velocity: where the bases and cells lie, and of what the bandwidths are shares."""
-
-GRIDWORLD = (
-    Entry("gpq", "gpq", GRID | {"bandwidth": [0.5], "budget": 25, "exploration_exponent": 0.1}),
-    Entry(
-        "gpq-optimistic",
-        "gpq-optimistic",
-        GRID | {"bandwidth": [0.5], "budget": 25, "amplitude": 0.1},
-    ),
-    Entry("tabular-q", "tabular-q", {"rate_exponent": 0.1, "exploration_exponent": 0.1}),
-    Entry(
-        "linear-q",
-        "linear-q",
-        GRID | {"bandwidth": [0.5], "rate_exponent": 0.1, "exploration_exponent": 0.1},
-    ),
-    Entry(
-        "gq", "gq", GRID | {"bandwidth": [0.5], "rate_exponent": 0.1, "exploration_exponent": 0.1}
-    ),
-)
+GPQ_PENDULUM = RANGE | {"bandwidth": [0.08]}
+LINEAR_PENDULUM = RANGE | {"bases": 10, "exploration_exponent": 0.3}
 PENDULUM = (
-    Entry("gpq", "gpq", RANGE | {"bandwidth": [0.08], "exploration_exponent": 0.1}),
-    Entry(
-        "gpq-optimistic",
-        "gpq-optimistic",
-        RANGE | {"bandwidth": [0.08], "noise": 0.001, "amplitude": 0.01},
-    ),
+    Entry("gpq", "gpq", GPQ_PENDULUM | {"exploration_exponent": 0.1}),
+    Entry("gpq-optimistic", "gpq-optimistic", GPQ_PENDULUM | {"noise": 0.001, "amplitude": 0.01}),
     Entry(
         "tabular-q",
         "tabular-q",
         RANGE | {"bins": 10, "rate_exponent": 0.1, "exploration_exponent": 0.5},
     ),
-    Entry(
-        "linear-q",
-        "linear-q",
-        RANGE | {"bases": 10, "rate_exponent": 0.1, "exploration_exponent": 0.3},
-    ),
-    Entry("gq", "gq", RANGE | {"bases": 10, "rate_exponent": 0.3, "exploration_exponent": 0.3}),
+    Entry("linear-q", "linear-q", LINEAR_PENDULUM | {"rate_exponent": 0.1}),
+    Entry("gq", "gq", LINEAR_PENDULUM | {"rate_exponent": 0.3}),
 )
-EARLY = ("gpq", "gpq-optimistic", "linear-q", "gq")
+EARLY = tuple(entry for entry in PENDULUM if entry.name != "tabular-q")
 """Contenders that balance at times within the first 200 steps."""
 DEEP_PENDULUM = (
     Entry(
@@ -59,7 +44,9 @@ DEEP_PENDULUM = (
     ),
     Entry("ppo", "ppo", {"n_envs": 8, "n_steps": 64, "batch_size": 128, "n_epochs": 10}),
 )
+
 GPQ_PUDDLES = {"bandwidth": [0.05], "budget": 400}
+WORST = {"bases": 20, "bandwidth": [0.1]} | SLOW_RATES
 PUDDLES = (
     Entry(
         "gpq",
@@ -79,34 +66,31 @@ PUDDLES = (
         },
     ),
     Entry("gpq-as-printed", "gpq", GPQ_PUDDLES | {"bandwidth": [0.1], "noise": 1.0}),
-    Entry(
-        "tabular-q",
-        "tabular-q",
-        {"bins": 10, "rate_exponent": 0.1, "exploration_exponent": 0.1},
-    ),
+    Entry("tabular-q", "tabular-q", {"bins": 10} | SLOW_RATES),
     Entry(
         "linear-q",
         "linear-q",
         {"bases": 10, "bandwidth": [0.05], "rate_exponent": 0.1, "exploration_exponent": 0.3},
     ),
-    Entry(
-        "linear-q-worst",
-        "linear-q",
-        {"bases": 20, "bandwidth": [0.1], "rate_exponent": 0.1, "exploration_exponent": 0.1},
-    ),
+    Entry("linear-q-worst", "linear-q", WORST),
     Entry(
         "gq", "gq", {"bases": 10, "bandwidth": [0.1], "rate_exponent": 0.5, "correction_rate": 0.01}
     ),
-    Entry(
-        "gq-worst",
-        "gq",
-        {"bases": 20, "bandwidth": [0.1], "rate_exponent": 0.1, "exploration_exponent": 0.1},
-    ),
+    Entry("gq-worst", "gq", WORST),
 )
 DEEP_PUDDLES = (
     Entry("dqn", "dqn", {"exploration_fraction": 0.5}),
     Entry("ppo", "ppo", {}),
 )
+
+
+def contest(
+    world: str, entries: tuple[Entry, ...], *, eval_episodes: int = 100, **sizes: int
+) -> Experiment:
+    """Return the experiment of contenders in one of the three worlds; sizes as in `Experiment`."""
+    environment = EnvironmentSpec(f"bnprl/{world}-v0")
+    return Experiment(environment, entries, eval_episodes=eval_episodes, **sizes)
+
 
 REPRODUCTION = Reproduction(
     title="Figure 3.2: discounted reward while learning",
@@ -114,86 +98,45 @@ REPRODUCTION = Reproduction(
         Comparison(
             "gridworld",
             "Gridworld",
-            Experiment(
-                EnvironmentSpec("bnprl/Gridworld-v0"),
-                GRIDWORLD,
-                steps=1000,
-                seeds=20,
-                eval_episodes=20,
-                eval_points=50,
-            ),
-            quick={"seeds": 5, "eval_points": 20},
-            measure=EXACT,
+            contest("Gridworld", GRIDWORLD, steps=1000, seeds=20, eval_episodes=20, eval_points=50),
+            {"seeds": 5, "eval_points": 20},
+            EXACT,
         ),
         Comparison(
             "pendulum",
             "Inverted pendulum",
-            Experiment(
-                EnvironmentSpec("bnprl/InvertedPendulum-v0"),
-                PENDULUM,
-                steps=1000,
-                seeds=20,
-                eval_episodes=100,
-                eval_points=5,
-            ),
-            quick={"seeds": 2, "eval_episodes": 10},
-            measure=LENGTH,
+            contest("InvertedPendulum", PENDULUM, steps=1000, seeds=20, eval_points=5),
+            {"seeds": 2, "eval_episodes": 10},
+            LENGTH,
         ),
         Comparison(
             "pendulum-early",
             "The first steps of the same runs",
-            Experiment(
-                EnvironmentSpec("bnprl/InvertedPendulum-v0"),
-                tuple(entry for entry in PENDULUM if entry.name in EARLY),
-                steps=200,
-                seeds=20,
-                eval_episodes=100,
-                eval_points=10,
-            ),
-            quick={"seeds": 2, "eval_episodes": 10, "eval_points": 4},
-            measure=LENGTH,
+            contest("InvertedPendulum", EARLY, steps=200, seeds=20, eval_points=10),
+            {"seeds": 2, "eval_episodes": 10, "eval_points": 4},
+            LENGTH,
         ),
         Comparison(
             "pendulum-deep",
             "Inverted pendulum, deep RL: longer, 3 seeds",
-            Experiment(
-                EnvironmentSpec("bnprl/InvertedPendulum-v0"),
-                DEEP_PENDULUM,
-                steps=2048,
-                seeds=3,
-                eval_episodes=100,
-                eval_points=4,
-            ),
-            quick={"seeds": 1, "eval_episodes": 10},
-            measure=LENGTH,
+            contest("InvertedPendulum", DEEP_PENDULUM, steps=2048, seeds=3, eval_points=4),
+            {"seeds": 1, "eval_episodes": 10},
+            LENGTH,
         ),
         Comparison(
             "puddles",
             "Puddle world",
-            Experiment(
-                EnvironmentSpec("bnprl/PuddleWorld-v0"),
-                PUDDLES,
-                steps=60_000,
-                seeds=5,
-                eval_episodes=100,
-                eval_points=6,
-            ),
-            quick={"seeds": 1, "steps": 15_000, "eval_points": 3, "eval_episodes": 10},
-            measure=RETURN,
+            contest("PuddleWorld", PUDDLES, steps=60_000, seeds=5, eval_points=6),
+            {"seeds": 1, "steps": 15_000, "eval_points": 3, "eval_episodes": 10},
+            RETURN,
+            logarithmic=True,
         ),
         Comparison(
             "puddles-deep",
             "Puddle world, deep RL: 2 seeds",
-            Experiment(
-                EnvironmentSpec("bnprl/PuddleWorld-v0"),
-                DEEP_PUDDLES,
-                steps=20_480,
-                seeds=2,
-                eval_episodes=100,
-                eval_points=5,
-            ),
-            quick={"seeds": 1, "steps": 4096, "eval_points": 2, "eval_episodes": 10},
-            measure=RETURN,
+            contest("PuddleWorld", DEEP_PUDDLES, steps=20_480, seeds=2, eval_points=5),
+            {"seeds": 1, "steps": 4096, "eval_points": 2, "eval_episodes": 10},
+            RETURN,
         ),
     ),
     notes=(

@@ -211,9 +211,13 @@ def refresh(basis):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _add_outer(matrix, s, factor):  # type: ignore[no-untyped-def]
-    """Add factor s s' to the leading block of a symmetric matrix, which stays symmetric."""
+    """Add factor s s' to the leading block of a symmetric matrix, which stays symmetric.
+
+    Row by row, and entries (i, j) and (j, i) are rounded alike.
+    """
+    scaled = factor * s
     for i in range(s.size):
-        row = factor * s[i]
         for j in range(i + 1):
-            matrix[i, j] += row * s[j]
-            matrix[j, i] = matrix[i, j]
+            matrix[i, j] += scaled[i] * s[j]
+        for j in range(i + 1, s.size):
+            matrix[i, j] += scaled[j] * s[i]
