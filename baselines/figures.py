@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import SymmetricalLogLocator
 
 from baselines.curves import COLOURS, MARKERS, STYLES, dress, thousands
 from baselines.reproduction import Comparison, Computation, Lines, Reproduction
@@ -19,6 +20,8 @@ INK, PAPER = "#1f2328", "#ffffff"
 X_LABELS = {"steps": "environment steps of training", "episodes": "episodes of training"}
 LARGEST = 1e12
 """Beyond, a diverging line is cut off at the top of the axes."""
+LINEAR = 10.0
+"""Up to which a logarithmic axis is linear, if some numbers are negative."""
 
 
 def draw(
@@ -148,11 +151,21 @@ def draw_panel(axes: Axes, panel: Comparison | Computation, lines: Lines) -> Non
     dress(axes, INK, PAPER)
     axes.set_title(panel.title, color=INK, fontsize=11)
     if panel.logarithmic:
-        axes.set_yscale("log")
+        _set_logarithmic(axes, min((float(y.min()) for _, y in lines.values()), default=1.0))
     axes.set_ylabel(panel.y if isinstance(panel, Computation) else panel.measure.label)
     axes.set_xlabel(panel.x if isinstance(panel, Computation) else X_LABELS[panel.x])
     if isinstance(panel, Comparison) and panel.logarithmic_x:
         axes.set_xscale("log")
     axes.xaxis.set_major_formatter(lambda value, _: thousands(value))
     if lines:
-        axes.legend(frameon=False, fontsize=8, labelcolor=INK)
+        axes.legend(facecolor=PAPER, edgecolor="none", framealpha=0.7, fontsize=8, labelcolor=INK)
+
+
+def _set_logarithmic(axes: Axes, smallest: float) -> None:
+    """Make the vertical axis logarithmic; below 0 so too, linear only where numbers are small."""
+    if smallest >= 0.0:
+        axes.set_yscale("log")
+        return
+    axes.set_yscale("symlog", linthresh=LINEAR)
+    axes.yaxis.set_major_locator(SymmetricalLogLocator(base=10, linthresh=LINEAR, subs=(1, 2, 5)))
+    axes.yaxis.set_major_formatter(lambda value, _: thousands(value).replace("-", "\N{MINUS SIGN}"))

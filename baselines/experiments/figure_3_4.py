@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from baselines.environment import EnvironmentSpec
-from baselines.experiment import Entry, Experiment
-from baselines.experiments.figure_3_2 import PENDULUM
+from baselines.experiment import Entry
+from baselines.experiments.figure_3_2 import PENDULUM, contest
 from baselines.reproduction import LENGTH, Comparison, Reproduction
 
 SIZE_SETTING = {
@@ -37,16 +36,9 @@ REPRODUCTION = Reproduction(
         Comparison(
             f"budget-{side * side}",
             f"budget {side * side}",
-            Experiment(
-                EnvironmentSpec("bnprl/InvertedPendulum-v0"),
-                sized(PENDULUM, side),
-                steps=1000,
-                seeds=5,
-                eval_episodes=100,
-                eval_points=5,
-            ),
-            quick={"seeds": 2, "eval_episodes": 10},
-            measure=LENGTH,
+            contest("InvertedPendulum", sized(PENDULUM, side), steps=1000, seeds=5, eval_points=5),
+            {"seeds": 2, "eval_episodes": 10},
+            LENGTH,
         )
         for side in (6, 10)
     ),

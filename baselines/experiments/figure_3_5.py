@@ -2,22 +2,13 @@
 
 from __future__ import annotations
 
-from baselines.environment import EnvironmentSpec
-from baselines.experiment import Experiment
-from baselines.experiments.figure_3_2 import PUDDLES
+from baselines.experiments.figure_3_2 import PUDDLES, contest
 from baselines.reproduction import LENGTH, Comparison, Reproduction, learner_metric
 
 ENTRIES = tuple(
     entry for entry in PUDDLES if entry.contender.startswith("gpq") or entry.name.endswith("worst")
 )
-EXPERIMENT = Experiment(
-    EnvironmentSpec("bnprl/PuddleWorld-v0"),
-    ENTRIES,
-    steps=40_000,
-    seeds=3,
-    eval_episodes=100,
-    eval_points=8,
-)
+EXPERIMENT = contest("PuddleWorld", ENTRIES, steps=40_000, seeds=3, eval_points=8)
 QUICK = {"seeds": 1, "steps": 15_000, "eval_points": 3, "eval_episodes": 10}
 
 REPRODUCTION = Reproduction(

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from baselines.environment import EnvironmentSpec
-from baselines.experiment import Experiment
-from baselines.experiments.figure_3_2 import PUDDLES
+from baselines.experiments.figure_3_2 import PUDDLES, contest
 from baselines.experiments.figure_3_4 import sized
 from baselines.reproduction import RETURN, Comparison, Reproduction
 
@@ -14,16 +12,10 @@ REPRODUCTION = Reproduction(
         Comparison(
             f"budget-{side * side}",
             f"budget {side * side}",
-            Experiment(
-                EnvironmentSpec("bnprl/PuddleWorld-v0"),
-                sized(PUDDLES, side),
-                steps=60_000,
-                seeds=3,
-                eval_episodes=100,
-                eval_points=6,
-            ),
-            quick={"seeds": 1, "steps": 15_000, "eval_points": 3, "eval_episodes": 10},
-            measure=RETURN,
+            contest("PuddleWorld", sized(PUDDLES, side), steps=60_000, seeds=3, eval_points=6),
+            {"seeds": 1, "steps": 15_000, "eval_points": 3, "eval_episodes": 10},
+            RETURN,
+            logarithmic=True,
         )
         for side in (10, 20)
     ),
