@@ -233,7 +233,7 @@ def _name_idle(experiment: Experiment, folder: Path) -> None:
 
 
 def report(options: Report) -> int:
-    """Make the report of a folder again, or those of the panels of a reproduction."""
+    """Make the report of a folder again; of a reproduction those of its panels, and its own."""
     with usage_errors():
         folders = study_folders(options.folder)
         for place in folders:
@@ -241,6 +241,11 @@ def report(options: Report) -> int:
     for place in folders:
         with _locked(place):
             _report(place)
+    if options.folder not in folders and (options.folder / "summary.json").is_file():
+        from baselines.reproduce import write_again  # imports this module
+
+        with usage_errors(ValueError):
+            write_again(options.folder)
     return 0
 
 

@@ -133,7 +133,7 @@ class Reproduce:
 
 @dataclass(frozen=True)
 class Report:
-    """Make the tables, the curves and the page again from the records."""
+    """Make the tables, the curves or figure, and the page again from the records."""
 
     folder: Positional[Path]
     """Folder that `train`, `compare` or `reproduce` wrote."""

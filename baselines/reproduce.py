@@ -12,8 +12,8 @@ import numpy as np
 
 from baselines.commands import check_sb3, conduct, try_out, workers_of
 from baselines.experiment import Experiment
-from baselines.files import write_atomic
-from baselines.records import Record
+from baselines.files import parse_json, write_atomic
+from baselines.records import Record, RecordError
 from baselines.report import DASH, finished_runs, number, print_table, reference_rows
 from baselines.reproduction import (
     Comparison,
@@ -81,6 +81,23 @@ def write_page(title: str, folder: Path, of: Sequence[Path]) -> None:
     summaries = {place: json.loads((place / "summary.json").read_bytes()) for place in of}
     write_atomic(folder / "report.html", page(title, summaries))
     print(f"report: {folder / 'report.html'}")
+
+
+def write_again(folder: Path) -> None:
+    """Write the summary, the figure and the page of a reproduction again, from its records.
+
+    Raises:
+        RecordError: its summary or its records are damaged.
+        ValueError: the summary is of no experiment that there is.
+        OSError: the folder cannot be read or written.
+    """
+    values = parse_json((folder / "summary.json").read_bytes())
+    if not isinstance(values, dict) or not {"experiment", "quick"} <= values.keys():
+        raise RecordError(f"{folder / 'summary.json'}: not the summary of a reproduction")
+    name, quick = str(values["experiment"]), bool(values["quick"])
+    reproduction = find(name)
+    write(name, reproduction, folder, quick)
+    write_page(reproduction.title, folder, [folder])
 
 
 def _experiments(panel: Comparison | Computation, quick: bool) -> dict[str, Experiment]:

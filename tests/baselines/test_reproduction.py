@@ -92,6 +92,10 @@ def test_panels_are_run_resumed_and_reported(tmp_path, monkeypatch, capsys):
     assert cli.main([*command, "--no-progress"]) == 0
     assert (records.read_bytes(), records.stat().st_mtime_ns) == before
     assert json.loads((tmp_path / "summary.json").read_text()) == first
+    (tmp_path / "figure.png").unlink()
+    (tmp_path / "summary.json").write_text('{"experiment": "tiny", "quick": true}')
+    assert cli.main(["report", str(tmp_path)]) == 0
+    assert json.loads((tmp_path / "summary.json").read_text()) == first
     grid, same, line = first["panels"]
     agents = [row["agent"] for row in grid["rows"]]
     assert agents[:2] == ["tabular", "linear"]
