@@ -28,7 +28,7 @@ PENDULUM = (
     Entry(
         "gpq-optimistic",
         "gpq-optimistic",
-        GPQ_PENDULUM | {"noise": 0.001, "amplitude": 0.02, "forgetting": 0.998},
+        GPQ_PENDULUM | {"noise": 0.001, "amplitude": 0.01, "prior_mean": -0.6},
     ),
     Entry(
         "tabular-q",
@@ -137,13 +137,15 @@ REPRODUCTION = Reproduction(
         ),
     ),
     notes=(
-        "In the puddle world GPQ forgets (C shrinks before each measurement), and the optimist on "
-        "the pendulum too, more slowly; the source has no such thing. Without, gpq-as-printed, all "
-        "targets weigh alike and the first, bootstrapped from nothing, hold the values back: the "
-        "discount is .99, and the goal 36 steps away.",
+        "In the puddle world GPQ forgets (C shrinks before each measurement), and on the pendulum "
+        "the optimist's prior mean is not 0, which are not in the source. Without forgetting, "
+        "gpq-as-printed, all targets weigh alike and the first, bootstrapped from nothing, hold the "
+        "values back: the discount is .99, and the goal 36 steps away.",
         "There both have a bandwidth of .05, as the best fixed bases do; at .1 some seeds end in "
         "loops. The optimist's amplitude is small, since its bonus is backed up and must not hide "
         "what a step costs.",
+        "On the pendulum only a fall costs, 1: a prior mean of 0 is as hopeful as can be, and the "
+        "optimist then tries what is no use.",
         "Every policy is evaluated greedily, apart from training.",
         "The source gives its figures as pictures, without numbers.",
     ),

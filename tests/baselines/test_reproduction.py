@@ -4,11 +4,13 @@ import json
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from baselines import cli, reproduction
 from baselines.environment import EnvironmentSpec
 from baselines.experiment import Entry, Experiment
 from baselines.experiments.figure_3_3 import largest_values
+from baselines.figures import draw_panel
 from baselines.reproduction import (
     EXACT,
     LENGTH,
@@ -164,6 +166,15 @@ def test_a_table_has_a_row_for_each_environment(tmp_path, monkeypatch, capsys):
     assert " ± " in row
     assert row.endswith("| 0.25 | 0.5 | – |")
     assert (tmp_path / "figure.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(("last", "scale"), [(1000.0, "log"), (-1000.0, "symlog")])
+def test_a_logarithmic_axis_takes_negative_numbers(last, scale):
+    axes = Figure().subplots()
+    draw_panel(axes, TINY.panels[2], {"one": (np.arange(2.0), np.array([[30.0, last]]))})
+    assert axes.get_yscale() == scale
+    low, high = axes.get_ylim()
+    assert low <= last <= high
 
 
 def test_the_star_diverges_on_fixed_bases_only():
