@@ -139,8 +139,8 @@ REPRODUCTION = Reproduction(
     notes=(
         "In the puddle world GPQ forgets (C shrinks before each measurement), and on the pendulum "
         "the optimist's prior mean is not 0, which are not in the source. Without forgetting, "
-        "gpq-as-printed, all targets weigh alike and the first, bootstrapped from nothing, hold the "
-        "values back: the discount is .99, and the goal 36 steps away.",
+        "gpq-as-printed, all targets weigh alike and the first, bootstrapped from nothing, hold "
+        "the values back: the discount is .99, and the goal 36 steps away.",
         "There both have a bandwidth of .05, as the best fixed bases do; at .1 some seeds end in "
         "loops. The optimist's amplitude is small, since its bonus is backed up and must not hide "
         "what a step costs.",

@@ -12,7 +12,14 @@ REPRODUCTION = Reproduction(
         Comparison(
             f"budget-{side * side}",
             f"budget {side * side}",
-            contest("PuddleWorld", sized(PUDDLES, side), steps=40_000, seeds=3, eval_points=4),
+            contest(
+                "PuddleWorld",
+                sized(PUDDLES, side),
+                steps=40_000,
+                seeds=3,
+                eval_points=4,
+                eval_episodes=50,
+            ),
             {"seeds": 1, "steps": 15_000, "eval_points": 3, "eval_episodes": 10},
             RETURN,
             logarithmic=True,
