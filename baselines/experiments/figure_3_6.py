@@ -15,9 +15,9 @@ REPRODUCTION = Reproduction(
             contest(
                 "PuddleWorld",
                 sized(PUDDLES, side),
-                steps=40_000,
+                steps=30_000,
                 seeds=3,
-                eval_points=4,
+                eval_points=3,
                 eval_episodes=50,
             ),
             {"seeds": 1, "steps": 15_000, "eval_points": 3, "eval_episodes": 10},
