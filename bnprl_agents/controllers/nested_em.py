@@ -113,9 +113,7 @@ def check_settings(config: NestedEMConfig) -> None:
     if not np.isfinite(config.reward_shift):
         raise ValueError(f"reward_shift: {config.reward_shift}, must be finite")
     if config.weighting not in ("reward", "return", "linear"):
-        raise ValueError(
-            f"weighting: {config.weighting!r}, must be 'reward', 'return' or 'linear'"
-        )
+        raise ValueError(f"weighting: {config.weighting!r}, must be 'reward', 'return' or 'linear'")
     if config.weighting != "reward" and config.batch_episodes < 2:
         raise ValueError("batch_episodes: 1, must be at least 2 to weigh episodes by their returns")
 
