@@ -106,7 +106,7 @@ class _JointBackup:
             parts,
             reduce(np.multiply.outer, each),
             self.model.transition_rows[rows],
-            ends,
+            ends.astype(np.int64),
             [
                 [np.flatnonzero(seen == o) for o in range(n)]
                 for seen, n in zip(np.unravel_index(joint_seen, sizes), sizes, strict=True)
