@@ -27,7 +27,7 @@ from bnprl_agents.controllers.learner import ControllerAgent
 from bnprl_agents.controllers.mcem import MonteCarloEM, MonteCarloEMConfig
 from bnprl_agents.controllers.stick_breaking import StickBreaking, StickBreakingConfig
 from bnprl_agents.episodes import FloatArray
-from bnprl_agents.search.controller_search import ControllerSearch
+from bnprl_agents.search.controller_search import ControllerSearch, ControllerSearchConfig
 from bnprl_agents.training import train
 from bnprl_envs import GridTrafficBatch
 from bnprl_envs.hand_coded import POLICIES, follow_longer_queue
@@ -39,16 +39,26 @@ HELP = 0.1
 """Probability of the heuristic's action, as in Wu et al. 2013."""
 COPIES = 50
 SEARCH_COPIES = 8
-POINTS = 6
-"""Evaluations of a helped run."""
+SEARCH = ControllerSearchConfig(explore_seeds=16, refine_seeds=64, judge_seeds=512)
+"""The default numbers of episodes: here each seed begins one in every copy."""
+SEARCH_STEPS, EM_STEPS = 500_000, 60_000
+POINTS = 4
+"""Evaluations of a helped run, and of one by EM."""
+SEEDS = 2
+"""Of these."""
 UNITS = "units that pass in a step"
 SIZES: dict[str, Any] = {"nodes": 4, "batch_episodes": 100}
+
+
+def uniformly(seen: Any, t: int, rng: np.random.Generator) -> Any:
+    """Every light by chance."""
+    return rng.integers(2, size=seen.shape)
 
 
 def hand_coded() -> tuple[Reference, ...]:
     """What the policies that need no learning let pass, by simulation."""
     found = []
-    for name, policy in POLICIES[ID].items():
+    for name, policy in {"random": uniformly, **POLICIES[ID]}.items():
         rng = np.random.default_rng(0)
         found.append(Reference(name, units(lambda seen, t: policy(seen, t, rng)), "simulated here"))  # noqa: B023
     return tuple(found)
@@ -135,33 +145,33 @@ def by_memory(agent: ControllerAgent) -> Callable[[Any, int], Any]:
 
 
 def helped(quick: bool) -> Lines:
-    """Learn with the heuristic."""
+    """Learn with the heuristic; quick: a fifth of the steps from one seed."""
     spaces = agent_spaces(GridTrafficBatch(1))
     plain, disturbed = GridTrafficBatch(COPIES), HelpedTraffic(GridTrafficBatch(SEARCH_COPIES))
-    contenders: dict[str, tuple[Callable[[int], ControllerAgent], Any]] = {
+    config, mcem = StickBreakingConfig(**SIZES), MonteCarloEMConfig(**SIZES)
+    contenders: dict[str, tuple[Callable[[int], ControllerAgent], Any, int]] = {
         "controller-search": (
-            lambda seed: ControllerSearch(*spaces, discount=0.9, seed=seed),
+            lambda seed: ControllerSearch(*spaces, SEARCH, discount=0.9, seed=seed),
             disturbed,
+            SEARCH_STEPS,
         ),
         "stick-breaking": (
-            lambda seed: HelpedStickBreaking(
-                *spaces, StickBreakingConfig(**SIZES), discount=0.9, seed=seed
-            ),
+            lambda seed: HelpedStickBreaking(*spaces, config, discount=0.9, seed=seed),
             plain,
+            EM_STEPS,
         ),
         "mcem": (
-            lambda seed: HelpedMonteCarloEM(
-                *spaces, MonteCarloEMConfig(**SIZES), discount=0.9, seed=seed
-            ),
+            lambda seed: HelpedMonteCarloEM(*spaces, mcem, discount=0.9, seed=seed),
             plain,
+            EM_STEPS,
         ),
     }
-    seeds, steps = (1, 30_000) if quick else (3, 200_000)
-    x = np.linspace(0, steps, POINTS + 1)[1:]
-    return {
-        name: (x, np.array([curve(make(seed), env, steps, seed) for seed in range(seeds)]))
-        for name, (make, env) in contenders.items()
-    }
+    lines = {}
+    for name, (make, env, steps) in contenders.items():
+        budget = steps // 5 if quick else steps
+        runs = [curve(make(seed), env, budget, seed) for seed in range(1 if quick else SEEDS)]
+        lines[name] = (np.linspace(0, budget, POINTS + 1)[1:], np.array(runs))
+    return lines
 
 
 REPRODUCTION = Reproduction(
@@ -186,7 +196,7 @@ REPRODUCTION = Reproduction(
                     Entry("ppo-independent", "ppo-independent", {}),
                     Entry("ppo-shared", "ppo-shared", {}),
                 ),
-                steps=48_000,
+                steps=32_000,
                 seeds=1,
                 eval_episodes=COPIES,
                 eval_points=4,
@@ -204,17 +214,17 @@ REPRODUCTION = Reproduction(
                     Entry("stick-breaking", "stick-breaking", SIZES),
                     Entry("mcem", "mcem", SIZES),
                 ),
-                steps=200_000,
-                seeds=3,
+                steps=EM_STEPS,
+                seeds=SEEDS,
                 eval_episodes=COPIES,
                 eval_points=POINTS,
             ),
-            quick={"steps": 30_000, "seeds": 1, "eval_points": 2, "eval_episodes": 16},
+            quick={"steps": EM_STEPS // 5, "seeds": 1, "eval_points": 1, "eval_episodes": 16},
             measure=REWARD_PER_STEP,
         ),
         Computation(
             "helped",
-            "With the heuristic in 10% of the actions, 3 seeds",
+            "With the heuristic in 10% of the actions",
             helped,
             x="environment steps of training",
             y=UNITS,
