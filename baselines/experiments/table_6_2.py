@@ -144,10 +144,10 @@ REPRODUCTION = Reproduction(
     ),
     notes=(
         "stick-breaking has its defaults and several starts of 20 updates (Mars 12), the best of "
-        "which goes on, where more than one is worth trying. On Dec-Tiger its rows begin at random, "
-        "since the last observation alone is worth nothing, and weights are linear in the return, "
-        "since exponential ones pay for opening a door by chance. our-mcem shifts the rewards "
-        "above 0.",
+        "which goes on, where more than one is worth trying. On Dec-Tiger its rows begin at "
+        "random, since the last observation alone is worth nothing, and weights are linear in the "
+        "return, since exponential ones pay for opening a door by chance. our-mcem shifts the "
+        "rewards above 0.",
         f"Both learn from episodes of {HORIZON} steps; the values are of endless ones.",
         "controller-search had 30 million simulated steps of each of three seeds; "
         "`python -m baselines.benchmarks.team_learners` gives it up to 300 million and 10 seeds.",
