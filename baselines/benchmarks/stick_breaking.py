@@ -1,87 +1,72 @@
 """What plain stick-breaking reaches on the five problems of the dissertation's Table 6.2.
 
-`python -m baselines.benchmarks.stick_breaking` prints exact values at each model's discount, beside
-the source's, and exits 1 where a mean stays below it. Settings are the learner's defaults, which
-weigh episodes by their returns; `--weighting reward` is Algorithm 5 on shifted rewards.
+`bnprl reproduce table-6.2 --out DIR` makes the records; `python -m
+baselines.benchmarks.stick_breaking DIR` prints exact values at discount .9 beside the source's and
+exits 1 where a mean stays below it. Without DIR it judges the records that are kept in the
+repository. The settings of each problem are in `baselines.experiments.table_6_2`.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
-import time
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 
-from bnprl_agents.controllers.stick_breaking import StickBreaking, StickBreakingConfig
-from bnprl_agents.controllers.value import controller_value
-from bnprl_agents.history_agent import smallest_reward
-from bnprl_agents.training import train
-from bnprl_envs import TabularParallelBatch
-from bnprl_envs.team import agent_spaces
+from baselines.records import Record
+from baselines.report import finished_runs
+from baselines.reproduction import EXACT, Comparison, find
+from baselines.statistics import mean_interval
+from baselines.study import read_runs
 
-SOURCE = {
-    "BroadcastChannel": 9.20,
-    "RecyclingRobots": 31.26,
-    "BoxPushing": 77.65,
-    "DecTiger": -19.14,
-    "MarsRovers": 20.62,
-}
-"""Values that the source reports for DEC-SBPR."""
-HORIZON = 100
+KEPT = Path(__file__).parent.parent / "results" / "table-6.2"
 
 
-@dataclass(frozen=True)
-class Run:
-    """One seed: exact value, mean nodes of an agent, steps and CPU seconds."""
-
-    value: float
-    nodes: float
-    steps: int
-    seconds: float
+def values_and_nodes(runs: Sequence[Sequence[Record]]) -> tuple[list[float], list[float]]:
+    """Return the exact values of each run's policy and the mean nodes in use of its agents."""
+    last = [run[-1] for run in runs]
+    values = [record.exact_value for record in last if record.exact_value is not None]
+    return values, [record.metrics["nodes"] for record in last]
 
 
-def run(name: str, config: StickBreakingConfig, seed: int, episodes: int) -> Run:
-    """Learn one problem from one seed."""
-    env = TabularParallelBatch(f"bnprl/{name}-v0", max_episode_steps=HORIZON)
-    if config.weighting == "reward":
-        config = replace(config, reward_shift=max(0.0, -smallest_reward(env.model)))
-    agent = StickBreaking(
-        *agent_spaces(env),
-        config,
-        discount=env.discount,
-        seed=seed,
+def judge(panel: Comparison, folder: Path) -> bool:
+    """Print one problem's line; return whether the mean reaches the source's value."""
+    source = next(r.value for r in panel.references if r.name == "dissertation")
+    runs = finished_runs(read_runs(panel.experiment, folder / panel.name))["stick-breaking"]
+    values, nodes = values_and_nodes(runs)
+    if not values:
+        print(f"{panel.title:18} {source:7.2f}  no finished runs: FAIL")
+        return False
+    mean = mean_interval(np.array(values), seed=0)
+    interval = "" if mean.low is None else f"{mean.low:8.2f} to {mean.high:.2f}"
+    reached = mean.mean >= source
+    seconds = np.mean([run[-1].train_seconds for run in runs])
+    print(
+        f"{panel.title:18} {source:7.2f} {mean.mean:8.2f} {interval:>20} {max(values):8.2f} "
+        f"{min(values):8.2f} {len(values):6} {np.mean(nodes):6.1f} {seconds:8.1f}  "
+        f"{'pass' if reached else 'FAIL'}"
     )
-    begin = time.process_time()
-    *_, last = train(agent, env, seed=seed, episodes=episodes)
-    seconds = time.process_time() - begin
-    value = controller_value(env.model, agent.controllers, env.discount)
-    return Run(value, last.metrics["nodes"], last.steps, seconds)
+    return reached
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run every seed and print the table; return the exit status."""
+    """Judge every problem's records; return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seeds", type=int, default=20, help="runs of each problem")
-    parser.add_argument("--episodes", type=int, default=50_000, help="of each run")
-    parser.add_argument("--problems", nargs="+", choices=SOURCE, default=list(SOURCE))
-    parser.add_argument("--weighting", choices=("return", "reward"), default="return")
-    options = parser.parse_args(arguments)
-    config = StickBreakingConfig(weighting=options.weighting)
-    passed = True
-    print("problem            source    mean     best    worst   nodes  CPU seconds  steps")
-    for name in options.problems:
-        runs = [run(name, config, seed, options.episodes) for seed in range(options.seeds)]
-        values = np.array([r.value for r in runs])
-        passed &= bool(values.mean() >= SOURCE[name])
-        print(
-            f"{name:17} {SOURCE[name]:7.2f} {values.mean():8.2f} {values.max():8.2f} "
-            f"{values.min():8.2f} {np.mean([r.nodes for r in runs]):6.1f} "
-            f"{np.mean([r.seconds for r in runs]):9.1f}  {runs[0].steps:12,}",
-            flush=True,
-        )
-    return 0 if passed else 1
+    parser.add_argument("folder", type=Path, nargs="?", default=KEPT, help="of `reproduce`")
+    folder = parser.parse_args(arguments).folder
+    print(
+        f"{'problem':18} {'source':>7} {'mean':>8} {'95% interval':>20} {'best':>8} {'worst':>8} "
+        f"{'seeds':>6} {'nodes':>6} {'seconds':>8}"
+    )
+    panels = [
+        panel
+        for panel in find("table-6.2").panels
+        if isinstance(panel, Comparison) and panel.measure is EXACT
+    ]
+    reached = [judge(panel, folder) for panel in panels]
+    return 0 if all(reached) else 1
 
 
 if __name__ == "__main__":

@@ -1,7 +1,9 @@
 """Figure 6.3: a hundred intersections, with and without a hand-coded heuristic while learning.
 
 Units that pass in a step of 100-step episodes. "Helped" learners follow the heuristic (the longer
-of the two queues) with probability .1 at each step of each agent while they learn.
+of the two queues) with probability .1 at each step of each agent while they learn. Those by EM
+learn from the actions that were taken; the search scores its candidates by episodes that are
+disturbed in this way.
 """
 
 from __future__ import annotations
@@ -9,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 
 from baselines.environment import EnvironmentSpec
@@ -24,6 +27,7 @@ from bnprl_agents.controllers.learner import ControllerAgent
 from bnprl_agents.controllers.mcem import MonteCarloEM, MonteCarloEMConfig
 from bnprl_agents.controllers.stick_breaking import StickBreaking, StickBreakingConfig
 from bnprl_agents.episodes import FloatArray
+from bnprl_agents.search.controller_search import ControllerSearch, ControllerSearchConfig
 from bnprl_agents.training import train
 from bnprl_envs import GridTrafficBatch
 from bnprl_envs.hand_coded import POLICIES, follow_longer_queue
@@ -34,14 +38,27 @@ ID = "bnprl/GridTraffic-v0"
 HELP = 0.1
 """Probability of the heuristic's action, as in Wu et al. 2013."""
 COPIES = 50
+SEARCH_COPIES = 8
+SEARCH = ControllerSearchConfig(explore_seeds=16, refine_seeds=64, judge_seeds=512)
+"""The default numbers of episodes: here each seed begins one in every copy."""
+SEARCH_STEPS, EM_STEPS = 500_000, 60_000
+POINTS = 4
+"""Evaluations of a helped run, and of one by EM."""
+SEEDS = 2
+"""Of these."""
 UNITS = "units that pass in a step"
 SIZES: dict[str, Any] = {"nodes": 4, "batch_episodes": 100}
+
+
+def uniformly(seen: Any, t: int, rng: np.random.Generator) -> Any:
+    """Every light by chance."""
+    return rng.integers(2, size=seen.shape)
 
 
 def hand_coded() -> tuple[Reference, ...]:
     """What the policies that need no learning let pass, by simulation."""
     found = []
-    for name, policy in POLICIES[ID].items():
+    for name, policy in {"random": uniformly, **POLICIES[ID]}.items():
         rng = np.random.default_rng(0)
         found.append(Reference(name, units(lambda seen, t: policy(seen, t, rng)), "simulated here"))  # noqa: B023
     return tuple(found)
@@ -82,41 +99,78 @@ class HelpedMonteCarloEM(Helped, MonteCarloEM):
     """Monte-Carlo EM with the heuristic."""
 
 
-def curve(agent: ControllerAgent, episodes: int, seed: int) -> tuple[list[float], list[float]]:
-    """Train; return the steps of each update and the units after it."""
-    steps, passed = [], []
-    for progress in train(agent, GridTrafficBatch(COPIES), seed=seed, episodes=episodes):
-        if not progress.metrics:
-            continue
-        state: Any = None
+class HelpedTraffic(gym.vector.VectorWrapper):
+    """Grid traffic whose lights follow the heuristic with probability `HELP`."""
 
-        def act(seen: Any, t: int) -> Any:
-            nonlocal state
-            names = agent_names(seen.shape[1])
-            actions, state = agent.predict(dict(zip(names, seen.T, strict=True)), state)
-            return np.stack([actions[name] for name in names], axis=1)
+    def __init__(self, env: GridTrafficBatch) -> None:
+        super().__init__(env)
+        self.max_episode_steps = env.max_episode_steps
+        self._rng = np.random.default_rng(0)
 
-        steps.append(float(progress.steps))
-        passed.append(units(act))
-    return steps, passed
+    def reset(self, *, seed: int | None = None, options: Any = None) -> Any:
+        """Begin new episodes; the seed is that of the heuristic's turns too."""
+        if seed is not None:
+            self._rng = np.random.default_rng(seed)
+        self._seen, info = self.env.reset(seed=seed, options=options)
+        return self._seen, info
+
+    def step(self, actions: Any) -> Any:
+        """Act, here and there by the heuristic."""
+        helped = self._rng.random(actions.shape) < HELP
+        heuristic = follow_longer_queue(self._seen, 0, self._rng)
+        self._seen, *rest = self.env.step(np.where(helped, heuristic, actions))
+        return self._seen, *rest
+
+
+def curve(agent: ControllerAgent, env: Any, budget: int, seed: int) -> FloatArray:
+    """Train for so many steps; return the units (POINTS,) that pass along the way."""
+    passed: list[float] = []
+    for progress in train(agent, env, seed=seed, steps=budget):
+        if progress.steps * POINTS >= (len(passed) + 1) * budget:
+            passed.append(units(by_memory(agent)))
+    return np.array(passed + [units(by_memory(agent))] * (POINTS - len(passed)))
+
+
+def by_memory(agent: ControllerAgent) -> Callable[[Any, int], Any]:
+    """The agent's policy as a function of observations and time."""
+    state: Any = None
+
+    def act(seen: Any, t: int) -> Any:
+        nonlocal state
+        names = agent_names(seen.shape[1])
+        actions, state = agent.predict(dict(zip(names, seen.T, strict=True)), state)
+        return np.stack([actions[name] for name in names], axis=1)
+
+    return act
 
 
 def helped(quick: bool) -> Lines:
-    """Learn with the heuristic."""
+    """Learn with the heuristic; quick: a fifth of the steps from one seed."""
     spaces = agent_spaces(GridTrafficBatch(1))
-    makers: dict[str, Callable[[int], ControllerAgent]] = {
-        "stick-breaking": lambda seed: HelpedStickBreaking(
-            *spaces, StickBreakingConfig(**SIZES), discount=0.9, seed=seed
+    plain, disturbed = GridTrafficBatch(COPIES), HelpedTraffic(GridTrafficBatch(SEARCH_COPIES))
+    config, mcem = StickBreakingConfig(**SIZES), MonteCarloEMConfig(**SIZES)
+    contenders: dict[str, tuple[Callable[[int], ControllerAgent], Any, int]] = {
+        "controller-search": (
+            lambda seed: ControllerSearch(*spaces, SEARCH, discount=0.9, seed=seed),
+            disturbed,
+            SEARCH_STEPS,
         ),
-        "mcem": lambda seed: HelpedMonteCarloEM(
-            *spaces, MonteCarloEMConfig(**SIZES), discount=0.9, seed=seed
+        "stick-breaking": (
+            lambda seed: HelpedStickBreaking(*spaces, config, discount=0.9, seed=seed),
+            plain,
+            EM_STEPS,
+        ),
+        "mcem": (
+            lambda seed: HelpedMonteCarloEM(*spaces, mcem, discount=0.9, seed=seed),
+            plain,
+            EM_STEPS,
         ),
     }
-    seeds, episodes = (1, 200) if quick else (3, 2000)
     lines = {}
-    for name, make in makers.items():
-        runs = [curve(make(seed), episodes, seed) for seed in range(seeds)]
-        lines[name] = (np.array(runs[0][0]), np.array([passed for _, passed in runs]))
+    for name, (make, env, steps) in contenders.items():
+        budget = steps // 5 if quick else steps
+        runs = [curve(make(seed), env, budget, seed) for seed in range(1 if quick else SEEDS)]
+        lines[name] = (np.linspace(0, budget, POINTS + 1)[1:], np.array(runs))
     return lines
 
 
@@ -128,31 +182,45 @@ REPRODUCTION = Reproduction(
             "From uniformly random behaviour",
             Experiment(
                 EnvironmentSpec(ID),
-                (
-                    Entry("controller-search", "controller-search", {}),
-                    Entry("stick-breaking", "stick-breaking", SIZES),
-                    Entry("mcem", "mcem", SIZES),
-                ),
-                steps=200_000,
-                seeds=3,
+                (Entry("controller-search", "controller-search", {}),),
+                steps=2_000_000,
+                seeds=10,
                 eval_episodes=COPIES,
-                eval_points=8,
+                eval_points=5,
             ),
-            quick={"steps": 20_000, "seeds": 1, "eval_points": 2, "eval_episodes": 16},
+            quick={"steps": 200_000, "seeds": 2, "eval_points": 2},
             measure=REWARD_PER_STEP,
             slow=Experiment(
                 EnvironmentSpec(ID),
                 (
-                    Entry("ppo-shared", "ppo-shared", {}),
                     Entry("ppo-independent", "ppo-independent", {}),
+                    Entry("ppo-shared", "ppo-shared", {}),
                 ),
-                steps=48_000,
+                steps=32_000,
                 seeds=1,
                 eval_episodes=COPIES,
                 eval_points=4,
             ),
             slow_quick={"steps": 1600, "eval_points": 1, "eval_episodes": 16},
             computed=hand_coded,
+            logarithmic_x=True,
+        ),
+        Comparison(
+            "by-em",
+            "The same, learners by EM",
+            Experiment(
+                EnvironmentSpec(ID),
+                (
+                    Entry("stick-breaking", "stick-breaking", SIZES),
+                    Entry("mcem", "mcem", SIZES),
+                ),
+                steps=EM_STEPS,
+                seeds=SEEDS,
+                eval_episodes=COPIES,
+                eval_points=POINTS,
+            ),
+            quick={"steps": EM_STEPS // 5, "seeds": 1, "eval_points": 1, "eval_episodes": 16},
+            measure=REWARD_PER_STEP,
         ),
         Computation(
             "helped",

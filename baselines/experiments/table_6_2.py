@@ -1,10 +1,14 @@
 """Table 6.2: decentralised learners on five benchmarks, beside what the literature reports.
 
 Values are exact at discount .9. The planners of the source's table know the model; the learners
-see episodes, and `controller-search` a simulator.
+see episodes, and `controller-search` a simulator. `python -m baselines.benchmarks.stick_breaking`
+holds the kept records against the source's values.
 """
 
 from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
 
 from baselines.environment import EnvironmentSpec
 from baselines.experiment import Entry, Experiment
@@ -15,6 +19,7 @@ from baselines.reproduction import (
     Measure,
     Reproduction,
     learner_metric,
+    registered,
 )
 from bnprl_envs.registry import Reference
 
@@ -60,50 +65,97 @@ SOURCE_NODES = {
 """|Z| of DEC-SBPR as printed."""
 TABLE = "Table 6.2 as printed"
 NODES = learner_metric("nodes of a controller", "nodes")
+HORIZON = 40
+"""Steps of the episodes that are learned from: what comes later counts for less than 2%."""
+SETTINGS: dict[str, dict[str, Any]] = {
+    "DecTiger": {
+        "initialisation": "random",
+        "weighting": "linear",
+        "temperature": 1.0,
+        "exploration_prior": 0.5,
+        "nodes": 8,
+        "batch_episodes": 400,
+    },
+    "BroadcastChannel": {},
+    "RecyclingRobots": {"starts": 2},
+    "BoxPushing": {"starts": 3},
+    "MarsRovers": {"starts": 10, "start_updates": 12},
+}
+"""Of stick-breaking, where they are not its defaults."""
+EPISODES = {
+    "DecTiger": 40_000,
+    "BroadcastChannel": 12_000,
+    "RecyclingRobots": 18_000,
+    "BoxPushing": 24_000,
+    "MarsRovers": 42_000,
+}
+"""Of one run; a start takes 6,000, on Mars 3,600."""
 
 
-def _panel(name: str, kind: str, measure: Measure, known: dict[str, float]) -> Comparison:
+def _panel(name: str, kind: str, measure: Measure, known: tuple[Reference, ...] = ()) -> Comparison:
     """One row; rows of one problem share their runs."""
-    shift = {"reward_shift": SHIFTS[name]}
+    id = f"bnprl/{name}-v0"
     learners = (
-        Entry("stick-breaking", "stick-breaking", {}),
-        Entry("stick-breaking-patient", "stick-breaking", {"temperature": 0.5}),
-        Entry("batch-em", "batch-em", shift),
-        Entry("mcem", "mcem", shift),
+        Entry("stick-breaking", "stick-breaking", SETTINGS[name]),
+        Entry("our-mcem", "mcem", {"nodes": 4, "reward_shift": SHIFTS[name]}),
     )
-    where = EnvironmentSpec(f"bnprl/{name}-v0")
     return Comparison(
         name.lower(),
         TITLES[name] + kind,
-        Experiment(where, learners, episodes=20_000, seeds=20, eval_episodes=200, eval_points=1),
-        quick={"episodes": 1500, "seeds": 2, "eval_episodes": 50},
+        Experiment(
+            EnvironmentSpec(id, {"max_episode_steps": HORIZON}),
+            learners,
+            episodes=EPISODES[name],
+            seeds=20,
+            eval_episodes=200,
+            eval_points=1,
+        ),
+        quick={"episodes": EPISODES[name] // 4, "seeds": 2, "eval_episodes": 50},
         slow=Experiment(
-            where,
+            EnvironmentSpec(id),
             (Entry("controller-search", "controller-search", {}),),
-            steps=50_000_000,
+            steps=30_000_000,
             seeds=3,
             eval_episodes=200,
             eval_points=1,
         ),
         slow_quick={"steps": 5_000_000, "seeds": 1, "eval_episodes": 50},
         measure=measure,
-        references=tuple(Reference(label, value, TABLE) for label, value in known.items()),
+        references=known,
     )
+
+
+def _printed(numbers: Mapping[str, float]) -> tuple[Reference, ...]:
+    return tuple(Reference(label, value, TABLE) for label, value in numbers.items())
 
 
 REPRODUCTION = Reproduction(
     title="Table 6.2: decentralised benchmarks, discount .9",
     panels=(
-        *(_panel(name, "", EXACT, PRINTED[name]) for name in TITLES),
-        *(_panel(name, ": seconds", SECONDS, SOURCE_SECONDS[name]) for name in TITLES),
-        *(_panel(name, ": nodes", NODES, {"dissertation": SOURCE_NODES[name]}) for name in TITLES),
+        *(
+            _panel(name, "", EXACT, registered(f"bnprl/{name}-v0") + _printed(PRINTED[name]))
+            for name in TITLES
+        ),
+        *(_panel(name, ": seconds", SECONDS, _printed(SOURCE_SECONDS[name])) for name in TITLES),
+        *(
+            _panel(name, ": nodes", NODES, _printed({"dissertation": SOURCE_NODES[name]}))
+            for name in TITLES
+        ),
     ),
     notes=(
-        "stick-breaking weighs on-policy episodes by exp(temperature x standardised return); "
-        "patient halves the temperature. batch-em and mcem shift the rewards above 0.",
-        "controller-search had 50 million simulated steps of each of three seeds; "
+        "stick-breaking has its defaults and several starts of 20 updates (Mars 12), the best of "
+        "which goes on, where more than one is worth trying. On Dec-Tiger its rows begin at "
+        "random, since the last observation alone is worth nothing, and weights are linear in the "
+        "return, since exponential ones pay for opening a door by chance. our-mcem shifts the "
+        "rewards above 0.",
+        f"Both learn from episodes of {HORIZON} steps; the values are of endless ones.",
+        "controller-search had 30 million simulated steps of each of three seeds; "
         "`python -m baselines.benchmarks.team_learners` gives it up to 300 million and 10 seeds.",
-        "memoryless is the best deterministic memoryless joint policy known.",
+        "memoryless is the best deterministic memoryless joint policy known. Broadcast's 9.19 is "
+        "agent 1 sending always but at first, when agent 2 does; agent 1 alone earns 9.1, and from "
+        "there both must change at once.",
+        "Seconds are wall-clock of training, ours with other work beside it; the source's are as "
+        "printed, of its machine.",
     ),
     shape="table",
 )

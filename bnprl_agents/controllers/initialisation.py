@@ -1,4 +1,4 @@
-"""Controllers from good episodes, section 6.5: the best histories as a merged graph."""
+"""First controllers: from good episodes, section 6.5, or of last observations."""
 
 from __future__ import annotations
 
@@ -12,6 +12,8 @@ from bnprl_agents.episodes import EpisodeBatch
 
 SMOOTHING = 0.1
 """Part of the old row that every new row keeps, so that nothing is ruled out for ever."""
+FORGETTING = 0.02
+"""The same where nodes begin as last observations: larger parts blur them."""
 
 Step = tuple[int, int, float]
 """Action, observation after it, reward."""
@@ -50,6 +52,28 @@ def controllers_from_episodes(
     return tuple(
         _seeded(controller, [list(_steps(episodes, k, n)) for k in best])
         for n, controller in enumerate(controllers)
+    )
+
+
+def controllers_of_observations(controllers: Sequence[Controller]) -> tuple[Controller, ...]:
+    """Let every node begin as a last observation: o leads to node o modulo Z, whatever was before.
+
+    Controllers with random rows average the memory of an observation away, and a team must agree
+    on what to remember before memory pays; the last observation is what most policies want.
+
+    Args:
+        controllers: one for each agent, whose actions are kept and whose rows are mixed in.
+    """
+    return tuple(_of_observations(controller) for controller in controllers)
+
+
+def _of_observations(controller: Controller) -> Controller:
+    node = np.arange(controller.n_observations) % controller.n_nodes
+    chosen = np.eye(controller.n_nodes)[node]  # (O, Z)
+    return Controller(
+        (1.0 - FORGETTING) * chosen + FORGETTING * controller.initial,
+        controller.action,
+        (1.0 - FORGETTING) * chosen[:, None, :] + FORGETTING * controller.successor,
     )
 
 

@@ -12,7 +12,15 @@ from bnprl_agents.agent import Metrics
 from bnprl_agents.controllers.controller import Controller
 from bnprl_agents.controllers.learner import ControllerAgent, shifted
 from bnprl_agents.controllers.messages import Counts, Messages, backward, forward
-from bnprl_agents.controllers.priors import MaximumLikelihood, Posterior, Prior, blend, scaled
+from bnprl_agents.controllers.priors import (
+    MaximumLikelihood,
+    Posterior,
+    Prior,
+    blend,
+    evidence_arrays,
+    restored_evidence,
+    scaled,
+)
 from bnprl_agents.controllers.schedules import blended_value, exponential
 from bnprl_agents.controllers.weighting import Evidence, by_return, by_reward
 from bnprl_agents.episodes import EpisodeBatch, FloatArray
@@ -78,12 +86,13 @@ class NestedEMConfig:
     """u1 of the Beta distribution from which a node's exploitation is drawn; larger explores."""
     reward_shift: float = 0.0
     """Added to every reward; the sum must not be negative. A terminal state earns it for ever."""
-    weighting: Literal["reward", "return"] = "reward"
+    weighting: Literal["reward", "return", "linear"] = "reward"
     """reward: every reward by its importance ratio, the empirical value (2.45). return: whole
     on-policy episodes by exp(temperature x standardised return), which needs no shift; not in the
-    source, for rewards of both signs, where a shift drowns the signal."""
+    source, for rewards of both signs, where a shift drowns the signal. linear: the same by
+    max(0, 1 + temperature x standardised return), slower but not fond of gambles."""
     temperature: float = 1.0
-    """Of the weighting by return; larger values look at the best episodes only."""
+    """Of the weightings by return; larger values look at the best episodes only."""
 
     def __post_init__(self) -> None:
         check_settings(self)
@@ -103,9 +112,9 @@ def check_settings(config: NestedEMConfig) -> None:
             raise ValueError(f"{name}: {getattr(config, name)}, must be positive and finite")
     if not np.isfinite(config.reward_shift):
         raise ValueError(f"reward_shift: {config.reward_shift}, must be finite")
-    if config.weighting not in ("reward", "return"):
-        raise ValueError(f"weighting: {config.weighting!r}, must be 'reward' or 'return'")
-    if config.weighting == "return" and config.batch_episodes < 2:
+    if config.weighting not in ("reward", "return", "linear"):
+        raise ValueError(f"weighting: {config.weighting!r}, must be 'reward', 'return' or 'linear'")
+    if config.weighting != "reward" and config.batch_episodes < 2:
         raise ValueError("batch_episodes: 1, must be at least 2 to weigh episodes by their returns")
 
 
@@ -142,12 +151,8 @@ class NestedEM(ControllerAgent):
     ) -> None:
         super().__init__(observation_space, action_space, config, discount=discount, seed=seed)
         self.priors = self.make_priors()
-        self.begin_at(self.controllers)
-        self.statistics = tuple(
-            Counts(*(np.zeros_like(table) for table in vars(c).values())) for c in self.controllers
-        )
-        self.log_value = -np.inf
         self.updates, self.episodes = 0, 0
+        self.begin_anew(self.controllers)
 
     def make_priors(self) -> tuple[Prior, ...]:
         """Each agent's M-step; EM's unless a subclass says otherwise."""
@@ -178,6 +183,15 @@ class NestedEM(ControllerAgent):
     def begin_at(self, controllers: Sequence[Controller]) -> None:
         """Take over posteriors around some controllers."""
         self.adopt([p.around(c) for p, c in zip(self.priors, controllers, strict=True)])
+
+    def begin_anew(self, controllers: Sequence[Controller]) -> None:
+        """Begin at some controllers without any evidence, exploring always."""
+        self.begin_at(controllers)
+        self.explore = tuple(np.ones(c.n_nodes) for c in controllers)
+        self.statistics = tuple(
+            Counts(*(np.zeros_like(table) for table in vars(c).values())) for c in controllers
+        )
+        self.log_value = -np.inf
 
     def adopt(self, posteriors: Sequence[Posterior]) -> None:
         """Take over posteriors, and act by their means."""
@@ -252,15 +266,17 @@ class NestedEM(ControllerAgent):
         likelihoods = [message.likelihood for message in messages]
         if self.config.weighting == "reward":
             return by_reward(data, likelihoods, self.discount)
-        return by_return(data, likelihoods, self.discount, self.config.temperature)
+        return by_return(
+            data,
+            likelihoods,
+            self.discount,
+            self.config.temperature,
+            linear=self.config.weighting == "linear",
+        )
 
     def state_arrays(self) -> Arrays:
         """The learner's state, its posteriors and its statistics."""
-        arrays = super().state_arrays()
-        for n, (posterior, counts) in enumerate(zip(self.posteriors, self.statistics, strict=True)):
-            arrays |= {f"posterior_{name}_{n}": p for name, p in posterior.parameters.items()}
-            arrays |= {f"statistics_{name}_{n}": s for name, s in counts._asdict().items()}
-        return arrays
+        return super().state_arrays() | evidence_arrays(self.posteriors, self.statistics)
 
     def counters(self) -> dict[str, Any]:
         """The running value, and the numbers of updates and episodes."""
@@ -273,18 +289,8 @@ class NestedEM(ControllerAgent):
     def restore(self, arrays: Arrays, counters: dict[str, Any]) -> None:
         """Take over a saved state; see `Agent.restore`."""
         super().restore(arrays, counters)
-        posteriors, statistics = [], []
-        for n, controller in enumerate(self.controllers):
-            ending = f"_{n}"
-            parameters = {
-                name.removeprefix("posterior_").removesuffix(ending): table
-                for name, table in arrays.items()
-                if name.startswith("posterior_") and name.endswith(ending)
-            }
-            posteriors.append(self.priors[n].restore(controller, parameters))
-            statistics.append(Counts(*(arrays[f"statistics_{f}_{n}"] for f in Counts._fields)))
+        posteriors, self.statistics = restored_evidence(arrays, self.priors, self.controllers)
         self.adopt(posteriors)
-        self.statistics = tuple(statistics)
         log_value = counters["log_value"]
         self.log_value = -np.inf if log_value is None else float(log_value)
         self.updates, self.episodes = int(counters["updates"]), int(counters["episodes"])

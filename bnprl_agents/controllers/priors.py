@@ -7,6 +7,7 @@ under-normalised in general, to run the E-step with.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -101,3 +102,36 @@ def node_count(counts: Counts, share: float) -> int:
     """
     occupancy = counts.action.sum(axis=1)
     return int(np.count_nonzero(occupancy > share * occupancy.sum()))
+
+
+def evidence_arrays(
+    posteriors: Sequence[Posterior], statistics: Sequence[Counts], prefix: str = ""
+) -> Arrays:
+    """What a team has learned, as named arrays; the names begin with the prefix."""
+    arrays: Arrays = {}
+    for n, (posterior, counts) in enumerate(zip(posteriors, statistics, strict=True)):
+        arrays |= {f"{prefix}posterior_{name}_{n}": p for name, p in posterior.parameters.items()}
+        arrays |= {f"{prefix}statistics_{name}_{n}": s for name, s in counts._asdict().items()}
+    return arrays
+
+
+def restored_evidence(
+    arrays: Arrays, priors: Sequence[Prior], means: Sequence[Controller], prefix: str = ""
+) -> tuple[tuple[Posterior, ...], tuple[Counts, ...]]:
+    """Posteriors and statistics from what `evidence_arrays` made of them.
+
+    Raises:
+        KeyError: an array is missing.
+    """
+    posteriors, statistics = [], []
+    for n, (prior, mean) in enumerate(zip(priors, means, strict=True)):
+        begin, end = f"{prefix}posterior_", f"_{n}"
+        parameters = {
+            name.removeprefix(begin).removesuffix(end): table
+            for name, table in arrays.items()
+            if name.startswith(begin) and name.endswith(end)
+        }
+        posteriors.append(prior.restore(mean, parameters))
+        found = (arrays[f"{prefix}statistics_{field}_{n}"] for field in Counts._fields)
+        statistics.append(Counts(*found))
+    return tuple(posteriors), tuple(statistics)

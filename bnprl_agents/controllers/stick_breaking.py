@@ -3,16 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from bnprl_agents.agent import Metrics
 from bnprl_agents.controllers.controller import Controller, normalised
 from bnprl_agents.controllers.dirichlet import dirichlet_divergence, geometric_mean
-from bnprl_agents.controllers.initialisation import controllers_from_episodes
+from bnprl_agents.controllers.initialisation import (
+    controllers_from_episodes,
+    controllers_of_observations,
+)
 from bnprl_agents.controllers.messages import Counts
-from bnprl_agents.controllers.priors import Posterior, Prior, node_count
+from bnprl_agents.controllers.priors import (
+    Posterior,
+    Prior,
+    evidence_arrays,
+    node_count,
+    restored_evidence,
+)
 from bnprl_agents.controllers.sticks import (
     Sticks,
     geometric_rows,
@@ -109,19 +118,22 @@ class StickBreakingConfig(BayesianConfig):
     (shape-rate) or the first (shape-scale).
     """
 
-    nodes: int = 8
+    nodes: int = 10
     """Truncation level: nodes of every controller, of which the learner uses as many as pay."""
     schedule: Literal["batch", "online"] = "batch"
     """batch: Algorithm 5 on the newest episodes. online: running means of the statistics, which is
     stochastic variational inference (the dissertation's future work)."""
-    batch_episodes: int = 500
+    batch_episodes: int = 300
     """Episodes collected under the current policy for one update, then discarded."""
-    weighting: Literal["reward", "return"] = "return"
+    weighting: Literal["reward", "return", "linear"] = "return"
     """reward: every reward by its importance ratio, the empirical value (2.45). return: whole
-    on-policy episodes by exp(temperature x standardised return), which needs no shift."""
-    temperature: float = 1.0
-    """Of the weighting by return; larger values look at the best episodes only, and decide sooner
-    for less."""
+    on-policy episodes by exp(temperature x standardised return), which needs no shift. linear: by
+    max(0, 1 + temperature x standardised return), where luck must not pass for skill."""
+    temperature: float = 4.0
+    """Of the weightings by return; larger values look at the best episodes only, and decide sooner
+    for less. 1 goes well with linear."""
+    exploration_prior: float = 0.1
+    """u1 of the Beta distribution from which a node's exploitation is drawn; larger explores."""
     hyper_shape: float = 0.1
     """c = e, shape of the Gamma hyper-priors of the sticks' second parameters."""
     hyper_second: float = 1e-6
@@ -131,11 +143,16 @@ class StickBreakingConfig(BayesianConfig):
     last node. scale: they keep everything at the first."""
     row_evidence: float = 1e-3
     """Rows over nodes with at most this count have no evidence."""
-    initialisation: Literal["random", "episodes"] = "random"
-    """random: rows drawn uniformly. episodes: section 6.5, the merged history tree of the best
-    random episodes, which are the first batch."""
+    initialisation: Literal["observations", "random", "episodes"] = "observations"
+    """observations: every node begins as a last observation, with some random rows mixed in; ours.
+    random: rows drawn at random. episodes: section 6.5, the merged history tree of the best random
+    episodes, which are the first batch."""
     initial_episodes: int = 10
     """How many of the best episodes the initialisation keeps."""
+    starts: int = 1
+    """How often to begin anew; the start whose newest episodes earned most goes on. Ours."""
+    start_updates: int = 20
+    """Updates of each start where there are several."""
     node_share: float = 0.01
     """A node is in use where its part of the reward-weighted visits exceeds this; (6.16)."""
 
@@ -146,16 +163,38 @@ class StickBreakingConfig(BayesianConfig):
                 raise ValueError(f"{name}: {getattr(self, name)}, must be positive")
         if self.hyper_reading not in ("rate", "scale"):
             raise ValueError(f"hyper_reading: {self.hyper_reading!r}, must be 'rate' or 'scale'")
-        if self.initialisation not in ("random", "episodes"):
+        if self.initialisation not in ("observations", "random", "episodes"):
             raise ValueError(
-                f"initialisation: {self.initialisation!r}, must be 'random' or 'episodes'"
+                f"initialisation: {self.initialisation!r}, must be 'observations', 'random' or "
+                "'episodes'"
             )
-        if self.initial_episodes < 1:
-            raise ValueError(f"initial_episodes: {self.initial_episodes}, must be at least 1")
+        for name in ("initial_episodes", "starts", "start_updates"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name}: {getattr(self, name)}, must be at least 1")
+        if self.starts > 1 and self.schedule == "online":
+            raise ValueError(f"starts: {self.starts}, must be 1 with the online schedule")
         if not self.row_evidence >= 0.0:
             raise ValueError(f"row_evidence: {self.row_evidence}, must not be negative")
         if not 0.0 <= self.node_share < 1.0:
             raise ValueError(f"node_share: {self.node_share}, must lie in [0, 1)")
+
+
+class Start(NamedTuple):
+    """What one start came to.
+
+    Attributes:
+        earned: running mean of its batches' mean returns, the newest counting half.
+        log_value: ln V.
+        explore: for each agent (Z,), the nodes' exploration.
+        posteriors: one for each agent.
+        statistics: one for each agent.
+    """
+
+    earned: float
+    log_value: float
+    explore: tuple[FloatArray, ...]
+    posteriors: tuple[Posterior, ...]
+    statistics: tuple[Counts, ...]
 
 
 class StickBreaking(BayesianEM):
@@ -164,6 +203,11 @@ class StickBreaking(BayesianEM):
     Algorithm 5 with its misprints corrected; with the online schedule, stochastic variational
     inference on the same posterior. Under the batch schedule the bound ln V(exp E ln theta) x
     scale - KL(posterior || prior), hyper-parameters included, never falls on the same episodes.
+    With several starts it may, where one ends.
+
+    Attributes:
+        earned: running mean of what this start's batches earned, the newest counting half.
+        best: the best start so far, until the last one has ended.
 
     Paper: Liu, Amato, Liao, Carin and How, Stick-breaking policy learning in Dec-POMDPs, IJCAI
     2015; dissertation, section 6.4.
@@ -171,6 +215,15 @@ class StickBreaking(BayesianEM):
 
     Config = StickBreakingConfig
     config: StickBreakingConfig
+    earned: float = 0.0
+    best: Start | None = None
+
+    def initial_controllers(self) -> tuple[Controller, ...]:
+        """Random controllers, or with nodes that begin as last observations."""
+        drawn = super().initial_controllers()
+        if self.config.initialisation == "observations":
+            return controllers_of_observations(drawn)
+        return drawn
 
     def make_priors(self) -> tuple[Prior, ...]:
         """The same hyper-priors for every agent."""
@@ -189,7 +242,9 @@ class StickBreaking(BayesianEM):
 
     def learn(self, episodes: EpisodeBatch) -> Metrics:
         """Learn from a batch; see `NestedEM.learn`. Also returns the agents' mean node count."""
-        if self.updates == 0 and self.config.initialisation == "episodes":
+        starting, update = divmod(self.updates, self.config.start_updates)
+        first = update == 0 and starting < self.config.starts
+        if first and self.config.initialisation == "episodes":
             self.begin_at(
                 controllers_from_episodes(
                     episodes, self.controllers, self.discount, self.config.initial_episodes
@@ -197,4 +252,43 @@ class StickBreaking(BayesianEM):
             )
         metrics = super().learn(episodes)
         used = [node_count(counts, self.config.node_share) for counts in self.statistics]
+        earned = metrics["return_mean"]
+        self.earned = earned if first else 0.5 * (self.earned + earned)
+        if starting < self.config.starts and update == self.config.start_updates - 1:
+            self._end_start(last=starting == self.config.starts - 1)
         return metrics | {"nodes": float(np.mean(used))}
+
+    def _end_start(self, *, last: bool) -> None:
+        """Keep the best start, and begin anew or, after the last one, go on with the best."""
+        if self.best is None or self.earned > self.best.earned:
+            evidence = (self.posteriors, self.statistics)
+            self.best = Start(self.earned, self.log_value, self.explore, *evidence)
+        if not last:
+            self.begin_anew(self.initial_controllers())
+            return
+        self.adopt(self.best.posteriors)
+        self.statistics, self.explore = self.best.statistics, self.best.explore
+        self.log_value, self.best = self.best.log_value, None
+
+    def state_arrays(self) -> Arrays:
+        """The learner's state and the best start so far."""
+        arrays, best = super().state_arrays(), self.best
+        if best is not None:
+            arrays |= evidence_arrays(best.posteriors, best.statistics, "best_")
+            arrays |= {f"best_explore_{n}": explore for n, explore in enumerate(best.explore)}
+        return arrays
+
+    def counters(self) -> dict[str, Any]:
+        """What `NestedEM.counters` counts, and what the starts have earned."""
+        best = None if self.best is None else [self.best.earned, self.best.log_value]
+        return super().counters() | {"earned": self.earned, "best": best}
+
+    def restore(self, arrays: Arrays, counters: dict[str, Any]) -> None:
+        """Take over a saved state; see `Agent.restore`."""
+        super().restore(arrays, counters)
+        self.earned = float(counters["earned"])
+        if counters["best"] is not None:
+            earned, log_value = map(float, counters["best"])
+            explore = tuple(arrays[f"best_explore_{n}"] for n in range(len(self.controllers)))
+            evidence = restored_evidence(arrays, self.priors, self.controllers, "best_")
+            self.best = Start(earned, log_value, explore, *evidence)

@@ -8,12 +8,12 @@ from functools import reduce
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import csc_array, csr_array
+from scipy.sparse import coo_array, csr_array
 from scipy.sparse.linalg import LinearOperator, gmres
 
 from bnprl_agents.controllers.controller import Controller
 from bnprl_agents.controllers.rollout import check_fit
-from bnprl_agents.episodes import FloatArray
+from bnprl_agents.episodes import FloatArray, IntArray
 from bnprl_envs.model import TabularModel
 
 TOLERANCE = 1e-10
@@ -67,12 +67,23 @@ def _solve(model: TabularModel, team: Sequence[Controller], discount: float) -> 
 
 
 class _JointAction(NamedTuple):
-    """What one joint action does: its parts, p(a | z), and its rows of T and O."""
+    """What one joint action does, with one entry for each possible (s', o), E in all.
+
+    Attributes:
+        parts: the agents' actions.
+        chosen: (Z_1, ..., Z_N) p(a | z).
+        transition: (S, S) T.
+        ends: (E,) s' of each entry.
+        seen: for each agent and each of its observations, the entries with that observation.
+        observation: (S, E) O(o | a, s') of s' and its entries.
+    """
 
     parts: tuple[int, ...]
     chosen: FloatArray
     transition: csr_array
-    observation: csc_array
+    ends: IntArray
+    seen: list[list[IntArray]]
+    observation: csr_array
 
 
 class _JointBackup:
@@ -88,11 +99,19 @@ class _JointBackup:
         rows = slice(joint * size, (joint + 1) * size)
         parts = tuple(int(part) for part in np.unravel_index(joint, self.model.action_sizes))
         each = [c.action[:, a] for c, a in zip(self.team, parts, strict=True)]
+        chance = coo_array(self.model.observation_rows[rows])
+        ends, joint_seen = chance.coords
+        sizes = self.model.observation_sizes
         return _JointAction(
             parts,
             reduce(np.multiply.outer, each),
             self.model.transition_rows[rows],
-            csc_array(self.model.observation_rows[rows]),
+            ends.astype(np.int64),
+            [
+                [np.flatnonzero(seen == o) for o in range(n)]
+                for seen, n in zip(np.unravel_index(joint_seen, sizes), sizes, strict=True)
+            ],
+            csr_array((chance.data, (ends, np.arange(ends.size))), shape=(size, ends.size)),
         )
 
     def reward(self) -> FloatArray:
@@ -114,20 +133,13 @@ class _JointBackup:
 
     def _over_nodes(self, value: FloatArray, action: _JointAction) -> FloatArray:
         """sum_{o, z'} O(o | a, s') W(z' | z, a, o) V(s', z') as a function of (s', z)."""
-        after = np.zeros_like(value)
-        column = action.observation
-        for joint in range(column.shape[1]):
-            entries = slice(column.indptr[joint], column.indptr[joint + 1])
-            ends = column.indices[entries]
-            if ends.size == 0:
-                continue
-            part = value[ends]
-            seen = np.unravel_index(joint, self.model.observation_sizes)
-            for n, (c, a, o) in enumerate(zip(self.team, action.parts, seen, strict=True)):
-                part = np.moveaxis(np.tensordot(part, c.successor[a, o], (n + 1, 1)), -1, n + 1)
-            chance = column.data[entries].reshape((-1,) + (1,) * len(self.team))
-            after[ends] += chance * part
-        return after
+        ahead = value[action.ends]
+        for n, (c, a, every) in enumerate(zip(self.team, action.parts, action.seen, strict=True)):
+            for o, entries in enumerate(every):
+                moved = np.tensordot(ahead[entries], c.successor[a, o], (n + 1, 1))
+                ahead[entries] = np.moveaxis(moved, -1, n + 1)
+        found: FloatArray = action.observation @ ahead.reshape(action.ends.size, -1)
+        return found.reshape(value.shape)
 
 
 def _start_weights(model: TabularModel, team: Sequence[Controller]) -> FloatArray:

@@ -53,8 +53,14 @@ def by_return(
     likelihoods: Sequence[FloatArray],
     discount: float,
     temperature: float,
+    *,
+    linear: bool = False,
 ) -> Evidence:
-    """Whole episodes in proportion to exp(temperature x standardised return), on-policy.
+    """Whole episodes in proportion to a function of their standardised return z, on-policy.
+
+    exp(temperature z) seeks what is best, luck included: a gamble that mostly loses pays where its
+    gains are large. max(0, 1 + temperature z) is proportional to the return above the mean less
+    so many standard deviations, and so minds losses down to there as much as gains.
 
     Rewards of any sign serve and a constant added to them changes nothing, so that no shift
     drowns the signal. An episode's weight is spread over its steps as gamma^t, so that what it
@@ -67,12 +73,16 @@ def by_return(
         likelihoods: for each agent c_t, (S,).
         discount: of the returns, in (0, 1].
         temperature: larger values look at the best episodes only.
+        linear: the second function.
     """
     returns = episodes.returns(discount)
     spread = returns.std()
     if spread <= 1e-12 * np.abs(returns).max():
         return Evidence(np.zeros(episodes.n_steps), -np.inf, -np.inf)
-    weights = np.exp(temperature * (returns - returns.max()) / spread)
+    if linear:
+        weights = np.maximum(0.0, 1.0 + temperature * (returns - returns.mean()) / spread)
+    else:
+        weights = np.exp(temperature * (returns - returns.max()) / spread)
     weights /= weights.sum()
     fading = discount ** episodes.steps_into_episode()
     fading /= np.repeat(np.add.reduceat(fading, episodes.offsets[:-1]), episodes.lengths)

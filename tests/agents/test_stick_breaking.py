@@ -5,8 +5,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from bnprl_agents.agent import load
 from bnprl_agents.controllers.controller import random_controller
-from bnprl_agents.controllers.initialisation import Graph, controllers_from_episodes, history_tree
+from bnprl_agents.controllers.initialisation import (
+    Graph,
+    controllers_from_episodes,
+    controllers_of_observations,
+    history_tree,
+)
 from bnprl_agents.controllers.messages import Counts
 from bnprl_agents.controllers.priors import node_count
 from bnprl_agents.controllers.rollout import rollout
@@ -25,6 +31,7 @@ from bnprl_agents.controllers.sticks import (
     updated_sticks,
 )
 from bnprl_agents.controllers.value import controller_value
+from bnprl_agents.controllers.weighting import by_return
 from bnprl_agents.episodes import EpisodeBatch
 from tests.agents.cases import copying_model, random_episodes, random_team
 
@@ -123,12 +130,18 @@ def test_rows_without_evidence_keep_their_posterior():
 
 
 @pytest.mark.parametrize("reading", READINGS)
-@pytest.mark.parametrize("weighting", ["reward", "return"])
+@pytest.mark.parametrize("weighting", ["reward", "return", "linear"])
 @pytest.mark.parametrize("scale", [0.0, 1.0])
 def test_the_bound_never_falls_on_the_same_episodes(reading, weighting, scale):
     rng = np.random.default_rng(5)
     episodes = random_episodes(rng, tuple(rng.integers(1, 8, size=30)), *SIZES)
-    agent = learner(hyper_reading=reading, weighting=weighting, evidence_scale=scale)
+    agent = learner(
+        hyper_reading=reading,
+        weighting=weighting,
+        temperature=1.0,
+        evidence_scale=scale,
+        initialisation="random",
+    )
     bounds = np.array([agent.learn(episodes)["bound"] for _ in range(40)])
     assert (np.diff(bounds) >= -1e-9 * np.abs(bounds[1:])).all()
     assert bounds[-1] > bounds[0] + 0.1
@@ -222,9 +235,61 @@ def test_learning_can_begin_from_good_episodes():
     assert not np.array_equal(again[0].action, seeded.controllers[0].action)
 
 
+def test_nodes_begin_as_last_observations():
+    rng = np.random.default_rng(11)
+    drawn = random_team(rng, (3, 6), (2, 2), (5, 4))
+    for controller in controllers_of_observations(drawn):
+        for rows in (controller.initial, controller.successor):
+            np.testing.assert_allclose(rows.sum(axis=-1), 1.0)
+        o = np.arange(controller.n_observations)
+        assert (controller.initial[o, o % controller.n_nodes] > 0.97).all()
+        assert (controller.successor[:, o, :, o % controller.n_nodes] > 0.97).all()
+
+
+def test_linear_weights_are_those_of_the_return_above_a_baseline():
+    rng = np.random.default_rng(12)
+    episodes = random_episodes(rng, (1,) * 4, (2,), (2,))
+    episodes.rewards[:] = (0.0, 1.0, 1.0, 6.0)  # mean 2, spread sqrt(5.5)
+    shares = by_return(episodes, [np.ones(4)], DISCOUNT, 1.5, linear=True).shares
+    above = np.maximum(episodes.rewards - 2.0 + np.sqrt(5.5) / 1.5, 0.0)
+    np.testing.assert_allclose(shares, above / above.sum())
+
+
+def test_the_best_of_several_starts_goes_on():
+    model, rng = copying_model(), np.random.default_rng(13)
+    agent = learner(COPYING, starts=3, start_updates=2, initialisation="random")
+    ends = []
+    for update in range(1, 7):
+        drawn = rollout(model, agent.controllers, episodes=50, horizon=10, rng=rng)
+        agent.learn(drawn)
+        if update in (2, 4):
+            assert agent.best is not None
+            ends.append(agent.best)
+            assert all((explore == 1.0).all() for explore in agent.explore)
+    assert ends[1].earned >= ends[0].earned
+    assert (agent.posteriors is ends[1].posteriors) == (agent.earned <= ends[1].earned)
+    assert agent.best is None
+
+
+def test_starts_go_on_from_a_file(tmp_path):
+    rng = np.random.default_rng(14)
+    episodes = random_episodes(rng, (3,) * 40, *SIZES)
+    agent = learner(starts=2, start_updates=3)
+    for _ in range(4):
+        agent.learn(episodes)
+    agent.save(tmp_path / "agent.npz")
+    again = load(tmp_path / "agent.npz")
+    for _ in range(3):
+        assert agent.learn(episodes) == again.learn(episodes)
+    for one, other in zip(agent.controllers, again.controllers, strict=True):
+        np.testing.assert_array_equal(one.successor, other.successor)
+
+
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
+        ({"starts": 0}, "starts: 0"),
+        ({"starts": 2, "schedule": "online"}, "starts: 2, must be 1"),
         ({"hyper_shape": 0.0}, "hyper_shape"),
         ({"hyper_second": np.inf}, "hyper_second"),
         ({"hyper_reading": "mean"}, "hyper_reading: 'mean', must be"),
