@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from bnprl_agents.agent import Metrics
-from bnprl_agents.belief.filtering import Sequences
+from bnprl_agents.belief.division import divided
+from bnprl_agents.belief.filtering import Sequences, run_filter
 from bnprl_agents.belief.gradient import (
     Surrogate,
     filtered,
@@ -49,10 +50,12 @@ class PredictiveActorCriticConfig(ProximalConfig):
     """Weight of the model's predictions; 0 leaves the model to the policy's gradient, too."""
     replay_batches: int = 500
     """Past batches, the latest, from which the prediction goes on learning."""
+    division_steps: int = 5_000
+    """Steps after which the model's most used state is divided, if another is hardly used."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_counts(self, "states", "memory", "replay_batches")
+        check_counts(self, "states", "memory", "replay_batches", "division_steps")
         check_positive(self, "learning_rate", "annealing_steps")
         check_not_negative(self, "prediction")
 
@@ -115,11 +118,14 @@ class PredictiveActorCritic(BeliefAgent):
 
     def learn(self, episodes: EpisodeBatch) -> Metrics:
         """Fit the critic, then climb likelihood and clipped objective."""
-        self.steps += episodes.n_steps
+        before, self.steps = self.steps, self.steps + episodes.n_steps
         self.square_rewards += float((episodes.rewards**2).sum())
         self.mean_length = episodes.n_steps / episodes.n_episodes
         self.replay = [*self.replay, episodes][-self.config.replay_batches :]
         likelihood = self._climb(episodes, self._judge(episodes))
+        if self.steps // self.config.division_steps > before // self.config.division_steps:
+            use = run_filter(Sequences.of(episodes), self.policy.model).before.mean(axis=0)
+            self.actor = divided(self.actor, use, self.rng)
         self.policy = self.actor.logits.policy()
         return {
             "return_mean": float(episodes.returns(self.discount).mean()),
