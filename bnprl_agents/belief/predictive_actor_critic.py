@@ -45,7 +45,7 @@ class PredictiveActorCriticConfig(ProximalConfig):
     entropy: float = 0.05
     """First weight of the policy's entropy, in standard deviations of the advantage."""
     annealing_steps: float = 100_000.0
-    """Steps after which the entropy weight falls as 1 / steps, the step size as its root."""
+    """Steps after which entropy weight and step size fall as 1 / steps."""
     prediction: float = 1.0
     """Weight of the model's predictions; 0 leaves the model to the policy's gradient, too."""
     replay_batches: int = 500
@@ -71,7 +71,7 @@ class PredictiveActorCritic(BeliefAgent):
 
     The first is a hidden Markov model: every observation, end and reward is a training signal, and
     how well they are predicted, on new episodes and on old ones alike, shapes the belief beside the
-    policy's gradient. The
+    policy's gradient; states that are hardly used are replaced by halves of the most used one. The
     second, a memory of the same form, is shaped by the policy's gradient alone and keeps what helps
     to act but not to predict. The policy is log-linear in both beliefs and the last observation;
     the advantages come from a critic that is linear in the beliefs, with weights of its own for
@@ -109,7 +109,7 @@ class PredictiveActorCritic(BeliefAgent):
         return self.config.batch_episodes(self.mean_length)
 
     def annealing(self) -> float:
-        """Factor of the entropy weight and of the squared step size."""
+        """Factor of the entropy weight and of the step size."""
         return min(1.0, self.config.annealing_steps / self.steps)
 
     def reward_scale(self) -> float:
@@ -162,7 +162,7 @@ class PredictiveActorCritic(BeliefAgent):
     def _climb(self, episodes: EpisodeBatch, surrogate: Surrogate) -> float:
         """Adam on minibatches of new and of old episodes; return the likelihood of the old."""
         logits, moments = self.actor.logits, self.actor.moments
-        rate = self.config.learning_rate * self.annealing() ** 0.5
+        rate = self.config.learning_rate * self.annealing()
         sequences, likelihoods = Sequences.of(episodes), []
         for chosen in self.config.minibatches(episodes, self.rng):
             policy = logits.policy()
