@@ -53,6 +53,8 @@ POINTS = 10
 """Evaluations of a run, at steps in a geometric series whose last is the budget."""
 FIRST_SHARE = 0.04
 """Of the budget, at the first evaluation."""
+SOONER = 5
+"""Evaluations of our learners before that, in the same series."""
 EVALUATION_EPISODES = 1_000
 
 
@@ -72,19 +74,26 @@ def curve(name: str, env: str, seed: int, steps: int, *, shown: bool = False) ->
     Raises:
         ValueError: the contender is one of ours that is no learner of POMDPs.
     """
-    points = np.geomspace(FIRST_SHARE * steps, steps, POINTS).round().astype(int).tolist()
     if contender(name).family != "bnprl":
-        return deep_curve(name, env, seed, points, shown=shown)
+        return deep_curve(name, env, seed, points(steps, POINTS), shown=shown)
     for _ in build_learner(contender(name), EnvironmentSpec(env), None, seed).learn(episodes=8):
         pass  # compiles
-    return run(name, env, seed, goals=[Goal(point, -np.inf) for point in points], shown=shown)
+    goals = [Goal(point, -np.inf) for point in points(steps, SOONER + POINTS)]
+    return run(name, env, seed, goals=goals, episodes=EVALUATION_EPISODES, shown=shown)
+
+
+def points(steps: int, number: int) -> list[int]:
+    """The steps at which a run is scored; the last is the budget."""
+    back = np.arange(number - 1, -1, -1) / (POINTS - 1)
+    found: list[int] = (steps * FIRST_SHARE**back).round().astype(int).tolist()
+    return found
 
 
 def deep_curve(
-    name: str, env: str, seed: int, points: list[int], *, shown: bool = False
+    name: str, env: str, seed: int, waiting: list[int], *, shown: bool = False
 ) -> list[Score]:
     """Train a deep learner; score it at the first update after each point, and at the end."""
-    spec, scores = EnvironmentSpec(env), list[Score]()
+    spec, scores, steps = EnvironmentSpec(env), list[Score](), waiting[-1]
     learner = build_learner(contender(name), spec, None, seed)
     begin, scoring, taken = time.process_time(), 0.0, 0
 
@@ -95,14 +104,14 @@ def deep_curve(
         scores.append(Score(taken, float(found.returns.mean()), stopped - begin - scoring))
         scoring += time.process_time() - stopped
 
-    with tqdm(total=points[-1], desc=f"{name} {env} {seed}", disable=not shown, delay=2) as bar:
-        for now in learner.learn(steps=points[-1]):
+    with tqdm(total=steps, desc=f"{name} {env} {seed}", disable=not shown, delay=2) as bar:
+        for now in learner.learn(steps=steps):
             taken = now.steps
             bar.update(taken - bar.n)
-            if taken >= points[0]:
+            if taken >= waiting[0]:
                 score()
-                points = [point for point in points if point > taken]
-                if not points:
+                waiting = [point for point in waiting if point > taken]
+                if not waiting:
                     return scores
         score()
     return scores
@@ -158,8 +167,8 @@ def race(runs: dict[str, list[list[Score]]]) -> bool:
     print(f"{'':21}" + f"  {'steps':>13}  {'mean':>8}  {'cpu s':>8}" * 2 + f"  {'ratio':>6}")
     passed = True
     ours, theirs = (np.mean(runs[name], axis=0) for name in (AGENT, RIVAL))
-    for point, rival in enumerate(theirs):
-        within = ours[: point + 1]
+    for rival in theirs:
+        within = ours[ours[:, 0] <= rival[0]]
         first = next((score for score in within if score[1] >= rival[1]), within[-1])
         ratio = rival[2] / max(first[2], 1e-9)
         won = bool(first[1] >= rival[1] and ratio >= FASTER)

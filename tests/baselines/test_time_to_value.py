@@ -7,8 +7,10 @@ from baselines.benchmarks import time_to_value
 from baselines.benchmarks.run_records import Score
 from baselines.benchmarks.time_to_value import (
     POINTS,
+    SOONER,
     curve,
     main,
+    points,
     race,
     reached,
     thresholds,
@@ -37,9 +39,9 @@ def test_thresholds_lie_between_random_play_and_the_best_known_value():
 def test_a_curve_is_scored_within_its_budget_and_again_at_more_steps():
     scores = curve("predictive-actor-critic", MAZE, 0, 30_000)
     steps = [score.steps for score in scores]
-    assert len(steps) == POINTS
+    assert len(steps) == SOONER + POINTS
     assert steps == sorted(steps)
-    assert steps[0] <= 1_200
+    assert steps[SOONER] <= 1_200
     assert 27_000 < steps[-1] <= 30_000
     assert 0.61 < scores[-1].value < 0.74
 
@@ -59,6 +61,13 @@ def test_the_table_names_who_gets_there_and_who_never_does(monkeypatch, tmp_path
     lines = [line.split() for line in capsys.readouterr().out.splitlines()]
     assert lines[1] == [MAZE, "80%", "0.7070", "ppo", "9", "1.5", "2/2", "0.7300"]
     assert lines[2][3:] == ["random", "never", "0/2", "0.6200"]
+
+
+def test_points_are_a_geometric_series_up_to_the_budget():
+    assert points(100_000, POINTS)[0] == 4_000
+    assert points(100_000, SOONER + POINTS)[SOONER:] == points(100_000, POINTS)
+    ratios = np.array(points(10**9, 8)[1:]) / points(10**9, 8)[:-1]
+    np.testing.assert_allclose(ratios, 25 ** (1 / 9), rtol=1e-6)
 
 
 @pytest.mark.parametrize(
