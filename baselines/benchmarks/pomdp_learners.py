@@ -68,7 +68,13 @@ best known value."""
 
 
 def run(
-    name: str, env: str, seed: int, *, goals: Sequence[Goal] | None = None, shown: bool = False
+    name: str,
+    env: str,
+    seed: int,
+    *,
+    goals: Sequence[Goal] | None = None,
+    episodes: int = EVALUATION_EPISODES,
+    shown: bool = False,
 ) -> list[Score]:
     """Train one agent from one seed and score its policy at every goal.
 
@@ -77,6 +83,7 @@ def run(
         env: id of a tabular environment.
         seed: of everything random.
         goals: in the order of their steps; None means those of `GOALS`.
+        episodes: of an evaluation by simulation.
         shown: whether to draw a progress bar.
 
     Raises:
@@ -92,7 +99,7 @@ def run(
         """Score the last policy at every goal that it was learned within."""
         while waiting and waiting[0].steps < until:
             steps, agent, seconds = held
-            scores.append(Score(steps, value(agent, spec, seed), seconds))
+            scores.append(Score(steps, value(agent, spec, seed, episodes), seconds))
             waiting.pop(0)
 
     begin = time.process_time()
@@ -126,9 +133,9 @@ def learner_of(name: str, spec: EnvironmentSpec, seed: int) -> AgentLearner:
     return learner
 
 
-def value(agent: Agent, spec: EnvironmentSpec, seed: int) -> float:
+def value(agent: Agent, spec: EnvironmentSpec, seed: int, episodes: int) -> float:
     """The exact value of the agent's policy if there is one, else its mean simulated return."""
-    found = evaluate(agent, spec, episodes=EVALUATION_EPISODES, seed=seed)
+    found = evaluate(agent, spec, episodes=episodes, seed=seed)
     return float(found.returns.mean()) if found.exact is None else found.exact
 
 

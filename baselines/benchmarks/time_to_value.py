@@ -7,13 +7,16 @@ over the seeds, if more than half of them get there. (Shares of the best known v
 say nothing where random play earns 84% of it, or where it is negative.) Every finished run is a
 line of the file, and is not run again. Values are means over simulated episodes, never those of
 training; the seconds are those of learning alone, after compilation, on one core each.
+
+On Hallway a second table holds the strong learner against RecurrentPPO at every budget. It passes
+where the strong learner's mean value reaches the other's within the same budget, in a tenth of its
+seconds; the command exits 1 where it does not.
 """
 
 from __future__ import annotations
 
 import argparse
 import dataclasses
-import functools
 import sys
 import time
 from collections.abc import Sequence
@@ -22,6 +25,7 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
+from baselines.benchmarks.pomdp_learners import AGENT, Goal, run
 from baselines.benchmarks.run_records import Records, Score
 from baselines.contenders import contender
 from baselines.environment import EnvironmentSpec
@@ -29,21 +33,36 @@ from baselines.evaluation import evaluate
 from baselines.learners import build_learner
 from bnprl_envs import registry
 
-AGENTS = ("predictive-actor-critic", "recurrent-ppo", "ppo")
-ENVIRONMENTS = tuple(
-    f"bnprl/{name}-v0"
-    for name in ("CheeseMaze", "Grid4x4", "NoisyMaze1D", "Shuttle", "Hallway", "Hallway2", "Tag")
-)
+RIVAL = "recurrent-ppo"
+AGENTS = (AGENT, RIVAL, "ppo")
+RACE = "bnprl/Hallway-v0"
+"""Where `AGENT` must reach what `RIVAL` has at every budget, `FASTER` times as fast."""
+FASTER = 10.0
+BUDGETS = {
+    "bnprl/CheeseMaze-v0": 150_000,
+    "bnprl/Grid4x4-v0": 150_000,
+    "bnprl/NoisyMaze1D-v0": 150_000,
+    "bnprl/Shuttle-v0": 150_000,
+    RACE: 450_000,
+    "bnprl/Hallway2-v0": 150_000,
+    "bnprl/Tag-v0": 150_000,
+}
+"""Environment steps of a run."""
 SHARES = (0.80, 0.90, 0.95)
 POINTS = 10
 """Evaluations of a run, at steps in a geometric series whose last is the budget."""
 FIRST_SHARE = 0.04
 """Of the budget, at the first evaluation."""
+SOONER = 5
+"""Evaluations of our learners before that, in the same series."""
 EVALUATION_EPISODES = 1_000
 
 
 def curve(name: str, env: str, seed: int, steps: int, *, shown: bool = False) -> list[Score]:
-    """Train a contender from one seed; score it at the first update after each point.
+    """Train a contender from one seed and score it at every point.
+
+    Our learners are scored by the last policy that they learned within each point. Deep learners
+    change their policy in place, and are scored at the first update after it, with more steps.
 
     Args:
         name: of the contender.
@@ -51,13 +70,31 @@ def curve(name: str, env: str, seed: int, steps: int, *, shown: bool = False) ->
         seed: of everything random.
         steps: budget.
         shown: whether to draw a progress bar.
+
+    Raises:
+        ValueError: the contender is one of ours that is no learner of POMDPs.
     """
-    spec, scores = EnvironmentSpec(env), list[Score]()
-    if contender(name).family == "bnprl":
-        for _ in build_learner(contender(name), spec, None, seed).learn(episodes=8):
-            pass  # compiles
+    if contender(name).family != "bnprl":
+        return deep_curve(name, env, seed, points(steps, POINTS), shown=shown)
+    for _ in build_learner(contender(name), EnvironmentSpec(env), None, seed).learn(episodes=8):
+        pass  # compiles
+    goals = [Goal(point, -np.inf) for point in points(steps, SOONER + POINTS)]
+    return run(name, env, seed, goals=goals, episodes=EVALUATION_EPISODES, shown=shown)
+
+
+def points(steps: int, number: int) -> list[int]:
+    """The steps at which a run is scored; the last is the budget."""
+    back = np.arange(number - 1, -1, -1) / (POINTS - 1)
+    found: list[int] = (steps * FIRST_SHARE**back).round().astype(int).tolist()
+    return found
+
+
+def deep_curve(
+    name: str, env: str, seed: int, waiting: list[int], *, shown: bool = False
+) -> list[Score]:
+    """Train a deep learner; score it at the first update after each point, and at the end."""
+    spec, scores, steps = EnvironmentSpec(env), list[Score](), waiting[-1]
     learner = build_learner(contender(name), spec, None, seed)
-    points = np.geomspace(FIRST_SHARE * steps, steps, POINTS).tolist()
     begin, scoring, taken = time.process_time(), 0.0, 0
 
     def score() -> None:
@@ -71,10 +108,10 @@ def curve(name: str, env: str, seed: int, steps: int, *, shown: bool = False) ->
         for now in learner.learn(steps=steps):
             taken = now.steps
             bar.update(taken - bar.n)
-            if taken >= points[0]:
+            if taken >= waiting[0]:
                 score()
-                points = [point for point in points if point > taken]
-                if not points:
+                waiting = [point for point in waiting if point > taken]
+                if not waiting:
                     return scores
         score()
     return scores
@@ -120,36 +157,70 @@ HEADER = (
 )
 
 
+def race(runs: dict[str, list[list[Score]]]) -> bool:
+    """Print where the strong learner first reaches what its rival has at every budget.
+
+    Returns:
+        Whether it always does, within the budget and `FASTER` times as fast.
+    """
+    print(f"\n{RACE:21}  {RIVAL:>33}  {AGENT:>33}")
+    print(f"{'':21}" + f"  {'steps':>13}  {'mean':>8}  {'cpu s':>8}" * 2 + f"  {'ratio':>6}")
+    passed = True
+    ours, theirs = (np.mean(runs[name], axis=0) for name in (AGENT, RIVAL))
+    for rival in theirs:
+        within = ours[ours[:, 0] <= rival[0]]
+        first = next((score for score in within if score[1] >= rival[1]), within[-1])
+        ratio = rival[2] / max(first[2], 1e-9)
+        won = bool(first[1] >= rival[1] and ratio >= FASTER)
+        passed &= won
+        sides = "".join(f"  {n:13,.0f}  {v:8.4f}  {s:8.1f}" for n, v, s in (rival, first))
+        print(f"{'':21}{sides}  {ratio:6.1f}  {'pass' if won else 'FAIL'}", flush=True)
+    print()
+    return passed
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run every seed of every contender on every environment; return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--agents", nargs="+", default=AGENTS, help="names of contenders")
     parser.add_argument("--seeds", type=int, default=3, help="runs on each environment")
-    parser.add_argument("--steps", type=int, default=150_000, help="budget of a run")
-    parser.add_argument("--environments", nargs="+", choices=ENVIRONMENTS, default=ENVIRONMENTS)
+    parser.add_argument("--steps", type=int, help="budget of every run, else each environment's")
+    parser.add_argument("--environments", nargs="+", choices=list(BUDGETS), default=list(BUDGETS))
     parser.add_argument("--out", type=Path, help="file of finished runs, which are not run again")
     parser.add_argument("--no-progress", action="store_true", help="draw no progress bars")
     options = parser.parse_args(arguments)
     for name in ("seeds", "steps"):
-        if getattr(options, name) < 1:
+        if getattr(options, name) is not None and getattr(options, name) < 1:
             parser.error(f"--{name}: {getattr(options, name)}, must be at least 1")
-    records, shown = Records(options.out), not options.no_progress
+    records, passed = Records(options.out), True
     print(HEADER)
     for env in options.environments:
-        runs: dict[str, list[list[Score]]] = {name: [] for name in options.agents}
-        for name, curves in runs.items():
-            for seed in range(options.seeds):
-                described = {
-                    "agent": name,
-                    "settings": dataclasses.asdict(contender(name).settings),
-                    "environment": env,
-                    "seed": seed,
-                    "steps": options.steps,
-                }
-                make = functools.partial(curve, name, env, seed, options.steps, shown=shown)
-                curves.append(records.of(described, make))
+        steps = options.steps or BUDGETS[env]
+        runs = {
+            name: [
+                recorded(records, name, env, seed, steps, shown=not options.no_progress)
+                for seed in range(options.seeds)
+            ]
+            for name in options.agents
+        }
         report(env, runs)
-    return 0
+        if env == RACE and {AGENT, RIVAL} <= set(runs):
+            passed &= race(runs)
+    return 0 if passed else 1
+
+
+def recorded(
+    records: Records, name: str, env: str, seed: int, steps: int, *, shown: bool
+) -> list[Score]:
+    """The scores of a run, from the records if they are there; see `curve`."""
+    described = {
+        "agent": name,
+        "settings": dataclasses.asdict(contender(name).settings),
+        "environment": env,
+        "seed": seed,
+        "steps": steps,
+    }
+    return records.of(described, lambda: curve(name, env, seed, steps, shown=shown))
 
 
 if __name__ == "__main__":

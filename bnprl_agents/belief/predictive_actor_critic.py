@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from bnprl_agents.agent import Metrics
-from bnprl_agents.belief.filtering import Sequences
+from bnprl_agents.belief.division import divided
+from bnprl_agents.belief.filtering import Sequences, run_filter
 from bnprl_agents.belief.gradient import (
     Surrogate,
     filtered,
@@ -44,15 +45,17 @@ class PredictiveActorCriticConfig(ProximalConfig):
     entropy: float = 0.05
     """First weight of the policy's entropy, in standard deviations of the advantage."""
     annealing_steps: float = 100_000.0
-    """Steps after which the entropy weight falls as 1 / steps, the step size as its root."""
+    """Steps after which entropy weight and step size fall as 1 / steps."""
     prediction: float = 1.0
     """Weight of the model's predictions; 0 leaves the model to the policy's gradient, too."""
     replay_batches: int = 500
     """Past batches, the latest, from which the prediction goes on learning."""
+    division_steps: int = 5_000
+    """Steps after which the model's most used state is divided, if another is hardly used."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_counts(self, "states", "memory", "replay_batches")
+        check_counts(self, "states", "memory", "replay_batches", "division_steps")
         check_positive(self, "learning_rate", "annealing_steps")
         check_not_negative(self, "prediction")
 
@@ -68,7 +71,7 @@ class PredictiveActorCritic(BeliefAgent):
 
     The first is a hidden Markov model: every observation, end and reward is a training signal, and
     how well they are predicted, on new episodes and on old ones alike, shapes the belief beside the
-    policy's gradient. The
+    policy's gradient; states that are hardly used are replaced by halves of the most used one. The
     second, a memory of the same form, is shaped by the policy's gradient alone and keeps what helps
     to act but not to predict. The policy is log-linear in both beliefs and the last observation;
     the advantages come from a critic that is linear in the beliefs, with weights of its own for
@@ -106,7 +109,7 @@ class PredictiveActorCritic(BeliefAgent):
         return self.config.batch_episodes(self.mean_length)
 
     def annealing(self) -> float:
-        """Factor of the entropy weight and of the squared step size."""
+        """Factor of the entropy weight and of the step size."""
         return min(1.0, self.config.annealing_steps / self.steps)
 
     def reward_scale(self) -> float:
@@ -115,11 +118,14 @@ class PredictiveActorCritic(BeliefAgent):
 
     def learn(self, episodes: EpisodeBatch) -> Metrics:
         """Fit the critic, then climb likelihood and clipped objective."""
-        self.steps += episodes.n_steps
+        before, self.steps = self.steps, self.steps + episodes.n_steps
         self.square_rewards += float((episodes.rewards**2).sum())
         self.mean_length = episodes.n_steps / episodes.n_episodes
         self.replay = [*self.replay, episodes][-self.config.replay_batches :]
         likelihood = self._climb(episodes, self._judge(episodes))
+        if self.steps // self.config.division_steps > before // self.config.division_steps:
+            use = run_filter(Sequences.of(episodes), self.policy.model).before.mean(axis=0)
+            self.actor = divided(self.actor, use, self.rng)
         self.policy = self.actor.logits.policy()
         return {
             "return_mean": float(episodes.returns(self.discount).mean()),
@@ -156,7 +162,7 @@ class PredictiveActorCritic(BeliefAgent):
     def _climb(self, episodes: EpisodeBatch, surrogate: Surrogate) -> float:
         """Adam on minibatches of new and of old episodes; return the likelihood of the old."""
         logits, moments = self.actor.logits, self.actor.moments
-        rate = self.config.learning_rate * self.annealing() ** 0.5
+        rate = self.config.learning_rate * self.annealing()
         sequences, likelihoods = Sequences.of(episodes), []
         for chosen in self.config.minibatches(episodes, self.rng):
             policy = logits.policy()

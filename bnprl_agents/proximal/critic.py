@@ -102,6 +102,20 @@ class Critic(NamedTuple):
         around = shared if len(moment) > 1 else nothing
         return Critic(_posterior_mean(precision, moment, ridge, around), precision, moment)
 
+    def divided(self, node: int, place: int) -> Critic:
+        """The critic of beliefs in which a place, its own belief dropped, takes half of a node's.
+
+        Args:
+            node: whose belief is halved.
+            place: another, which holds the other half.
+        """
+        halves = np.eye(self.weights.shape[1])
+        halves[place] = 0.0
+        halves[[node, place], node] = 0.5
+        weights = self.weights.copy()
+        weights[:, place] = weights[:, node]
+        return Critic(weights, halves @ self.precision @ halves.T, self.moment @ halves.T)
+
 
 def _posterior_mean(
     precision: FloatArray, moment: FloatArray, ridge: float, around: FloatArray

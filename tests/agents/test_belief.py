@@ -201,7 +201,7 @@ def test_a_saved_agent_goes_on_bit_for_bit(tmp_path):
     batches = [
         small().sample(model, episodes=9, horizon=7, rng=np.random.default_rng(n)) for n in range(4)
     ]
-    agent = small()
+    agent = small(division_steps=60)
     agent.reset(np.array([2, 2]))
     for batch in batches[:2]:
         agent.learn(batch)
@@ -228,7 +228,13 @@ def test_likelihood_alone_rises_on_fixed_data():
 
 
 def test_bad_input_is_refused():
-    for settings in ({"states": 0}, {"clip": 0.0}, {"prediction": -1.0}, {"return_decay": 1.5}):
+    for settings in (
+        {"states": 0},
+        {"division_steps": 0},
+        {"clip": 0.0},
+        {"prediction": -1.0},
+        {"return_decay": 1.5},
+    ):
         with pytest.raises(ValueError, match=next(iter(settings))):
             PredictiveActorCriticConfig(**settings)
     team = {"a": SPACES[0]}, {"a": SPACES[1]}
