@@ -33,7 +33,7 @@ def panels(name: str) -> tuple[Comparison, Comparison]:
         steps=STEPS[name],
         seeds=5,
         eval_episodes=500,
-        eval_points=6,
+        eval_points=5,
     )
     deep = Experiment(
         environment,

@@ -108,6 +108,11 @@ REPRODUCTION = Reproduction(
         "The maze and the grid are in their continuing form, in which a step leads from the goal "
         "to a new start; episodes are cut after 51 steps. Mean reward per step is the sum of all "
         "evaluation episodes' rewards over their steps, some per cent less than in the long run.",
+        "What came out: predictive-actor-critic is within 5% of every optimum, where the U-trees "
+        "are too. EM is at the source's values in the maze and near the grid's optimum, but below "
+        "the source in Shuttle: one update sees 20 short episodes, and good ones are rare. iRPR is "
+        "below EM everywhere, as it explores for longer and learns from running means; the source "
+        "has no numbers of it here.",
         "The source's .259 on the grid is above the optimum of this model: it was another one.",
         "Seeds are 5 where the source has 21 trials; recurrent-ppo has one.",
         "Shuttle has negative rewards: online EM weighs episodes by exp(4 x standardised return), "
