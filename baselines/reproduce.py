@@ -234,7 +234,7 @@ def _value(row: Row | None) -> str:
 
 def _short(value: float | None, digits: int = 4) -> str:
     """Return a number in so many digits, a large one whole."""
-    large = value is not None and abs(value) >= 1000.0
+    large = value is not None and abs(value) >= min(1000.0, 10.0**digits - 0.5)
     return number(value, ",.0f" if large else f".{digits}g")
 
 

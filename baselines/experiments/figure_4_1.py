@@ -39,7 +39,7 @@ PROBLEMS = {
     "Shuttle": Problem(20, 251, 600, 25, 20, 3.0),
     "CheeseMaze": Problem(20, 251, 5_000, 50, 20),
     "Grid4x4": Problem(20, 251, 5_000, 100, 20),
-    "Hallway": Problem(40, 101, 15_000, 150, 100),
+    "Hallway": Problem(40, 101, 10_000, 100, 100),
     "Tag": Problem(40, 101, 5_000, 50, 20, 10.0),
 }
 SOURCE = {
@@ -74,7 +74,7 @@ def panels(name: str) -> tuple[Comparison, Comparison]:
     )
     environment = EnvironmentSpec(f"bnprl/{name}-v0", {"max_episode_steps": size})
     experiment = Experiment(
-        environment, entries, episodes=episodes, seeds=3, eval_episodes=size, eval_points=8
+        environment, entries, episodes=episodes, seeds=3, eval_episodes=size, eval_points=6
     )
     deep = Experiment(
         environment,
@@ -112,8 +112,8 @@ REPRODUCTION = Reproduction(
         "batch-em-all is the source's batch method: all episodes so far, by their importance "
         "ratios; it learns 20 times on the way. batch-em-newest learns from the newest batch "
         "alone, on-policy; online-em from 20 episodes at a time, in Hallway 100.",
-        "3 seeds where the source has 5, and 15,000 (Hallway) and 5,000 (Tag) episodes where it "
-        "has 50,000; recurrent-ppo and ours (predictive-actor-critic) have 2 seeds and 25 to 150 "
+        "3 seeds where the source has 5, and 10,000 (Hallway) and 5,000 (Tag) episodes where it "
+        "has 50,000; recurrent-ppo and ours (predictive-actor-critic) have 2 seeds and 25 to 100 "
         "episodes.",
         "Reference values are over an infinite horizon; the source stopped batch EM before 1,000 "
         "episodes.",
