@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import SymmetricalLogLocator
+from matplotlib.ticker import LogLocator, NullFormatter, SymmetricalLogLocator
 
 from baselines.curves import COLOURS, MARKERS, STYLES, dress, thousands
 from baselines.reproduction import Comparison, Computation, Lines, Reproduction
@@ -43,9 +43,20 @@ def draw(
     every = figure.subplots(rows, columns, squeeze=False).ravel()
     for axes in every[n:]:
         axes.set_visible(False)
+    labels = list(dict.fromkeys(label for found in lines for label in found))
+    handles: dict[str, Any] = {}
     for axes, panel, found, table in zip(every, reproduction.panels, lines, tables, strict=False):
-        draw_panel(axes, panel, found)
+        handles |= draw_panel(axes, panel, found, labels)
         _draw_references(axes, [row for row in table["rows"] if row["source"] is not None])
+    figure.legend(
+        handles.values(),
+        handles,
+        loc="outside lower center",
+        ncols=min(4 if columns > 1 else 3, len(handles) or 1),
+        frameon=False,
+        labelcolor=INK,
+        handlelength=3.0,
+    )
     figure.suptitle(reproduction.title, color=INK, fontsize=13)
     return _png(figure)
 
@@ -60,7 +71,7 @@ def _draw_references(axes: Axes, rows: Sequence[Mapping[str, Any]]) -> None:
         if low - room <= value <= high + room and (value > 0.0 or axes.get_yscale() != "log"):
             axes.axhline(value, color=INK, linewidth=0.9, linestyle=(0, (1, 2)), alpha=0.75)
             near = max(named, default=-np.inf)
-            if value - near < 0.03 * (high - low):  # one label for lines too close for two
+            if value - near < 0.045 * (high - low):  # one label for lines too close for two
                 named[near] += f", {row['agent']}"
             else:
                 named[value] = row["agent"]
@@ -130,19 +141,28 @@ def _png(figure: Figure) -> bytes:
     return picture.getvalue()
 
 
-def draw_panel(axes: Axes, panel: Comparison | Computation, lines: Lines) -> None:
-    """Draw the lines of a panel."""
-    for index, (label, (x, y)) in enumerate(lines.items()):
+def draw_panel(
+    axes: Axes, panel: Comparison | Computation, lines: Lines, labels: Sequence[str]
+) -> dict[str, Any]:
+    """Draw the lines of a panel, each as its place among the labels of all panels says.
+
+    Returns:
+        Label -> what a legend shows of it.
+    """
+    handles = {}
+    for label, (x, y) in lines.items():
+        index = labels.index(label)
         colour = COLOURS[index % len(COLOURS)]
         seed = zlib.crc32(label.encode())
         mean, low, high = mean_band(np.clip(y, -LARGEST, LARGEST), seed=seed)
+        if len(x) == 1:
+            axes.errorbar(x, mean, [mean - low, high - mean], color=colour, capsize=4)
         axes.fill_between(x, low, high, color=colour, alpha=0.18, linewidth=0)
-        axes.plot(
+        (handles[label],) = axes.plot(
             x,
             mean,
             STYLES[index // len(COLOURS) % len(STYLES)],
             color=colour,
-            label=label,
             linewidth=1.8,
             marker=MARKERS[index % len(MARKERS)],
             markersize=5,
@@ -151,17 +171,16 @@ def draw_panel(axes: Axes, panel: Comparison | Computation, lines: Lines) -> Non
     dress(axes, INK, PAPER)
     axes.set_title(panel.title, color=INK, fontsize=11)
     if panel.logarithmic:
-        _set_logarithmic(axes, min((float(y.min()) for _, y in lines.values()), default=1.0))
+        _logarithmic_upwards(axes, min((float(y.min()) for _, y in lines.values()), default=1.0))
     axes.set_ylabel(panel.y if isinstance(panel, Computation) else panel.measure.label)
     axes.set_xlabel(panel.x if isinstance(panel, Computation) else X_LABELS[panel.x])
     if isinstance(panel, Comparison) and panel.logarithmic_x:
-        axes.set_xscale("log")
+        _logarithmic_across(axes)
     axes.xaxis.set_major_formatter(lambda value, _: thousands(value))
-    if lines:
-        axes.legend(facecolor=PAPER, edgecolor="none", framealpha=0.7, fontsize=8, labelcolor=INK)
+    return handles
 
 
-def _set_logarithmic(axes: Axes, smallest: float) -> None:
+def _logarithmic_upwards(axes: Axes, smallest: float) -> None:
     """Make the vertical axis logarithmic; below 0 so too, linear only where numbers are small."""
     if smallest >= 0.0:
         axes.set_yscale("log")
@@ -169,3 +188,12 @@ def _set_logarithmic(axes: Axes, smallest: float) -> None:
     axes.set_yscale("symlog", linthresh=LINEAR)
     axes.yaxis.set_major_locator(SymmetricalLogLocator(base=10, linthresh=LINEAR, subs=(1, 2, 5)))
     axes.yaxis.set_major_formatter(lambda value, _: thousands(value).replace("-", "\N{MINUS SIGN}"))
+
+
+def _logarithmic_across(axes: Axes) -> None:
+    """Make the horizontal axis logarithmic, with labels between powers of ten if it is short."""
+    axes.set_xscale("log")
+    low, high = axes.get_xlim()
+    few = high < 500.0 * low
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if few else (1.0,)))
+    axes.xaxis.set_minor_formatter(NullFormatter())

@@ -215,13 +215,13 @@ def cells(rows: Sequence[Row], x: str) -> list[list[str]]:
 
 
 def _cells(row: Row) -> list[str]:
-    low, high = number(row["ci_low"], ".4g"), number(row["ci_high"], ".4g")
+    low, high = _short(row["ci_low"]), _short(row["ci_high"])
     reference = row["source"] is not None
     return [
         f"{row['agent']} (reference)" if reference else row["agent"],
-        number(row["mean"], ".4g"),
+        _short(row["mean"]),
         DASH if row["ci_low"] is None else f"{low} to {high}",
-        DASH if reference else number(row["median"], ".4g"),
+        DASH if reference else _short(row["median"]),
         DASH if reference else number(row["seeds"], ",.0f"),
         number(row["x"], ",.0f"),
     ]
@@ -246,8 +246,14 @@ def _value(row: Row | None) -> str:
     if row is None:
         return DASH
     if row["ci_low"] is None:
-        return number(row["mean"], ".4g")
-    return f"{number(row['mean'], '.4g')} ± {(row['ci_high'] - row['ci_low']) / 2:.2g}"
+        return _short(row["mean"])
+    return f"{_short(row['mean'])} ± {_short((row['ci_high'] - row['ci_low']) / 2, 2)}"
+
+
+def _short(value: float | None, digits: int = 4) -> str:
+    """Return a number in so many digits, a large one whole."""
+    large = value is not None and abs(value) >= min(1000.0, 10.0**digits - 0.5)
+    return number(value, ",.0f" if large else f".{digits}g")
 
 
 def markdown(reproduction: Reproduction, tables: Sequence[Mapping[str, Any]], quick: bool) -> str:

@@ -8,25 +8,26 @@ from baselines.experiments.figure_4_1 import PROBLEMS
 from baselines.reproduction import LENGTH, RETURN, REWARD, Comparison, Reproduction, registered
 
 NODES = (10, 20, 30, 40, 50, 60)
-RUNS = {"Hallway": (50_000, 5), "Tag": (20_000, 3)}
+RUNS = {"Hallway": (50_000, 3), "Tag": (8_000, 3)}
 """Training episodes and seeds."""
-QUICK = {"seeds": 1, "episodes": 2_000, "eval_points": 5}
+QUICK = {"seeds": 1, "episodes": 1_000, "eval_points": 4, "eval_episodes": 250}
 
 
 def panels(name: str) -> tuple[Comparison, ...]:
     """Return a problem's panels, of the same runs."""
-    _, horizon, _, settings = PROBLEMS[name]
+    problem = PROBLEMS[name]
+    settings = {"reward_shift": problem.shift, "batch_episodes": problem.batch}
     episodes, seeds = RUNS[name]
     experiment = Experiment(
-        EnvironmentSpec(f"bnprl/{name}-v0", {"max_episode_steps": horizon}),
+        EnvironmentSpec(f"bnprl/{name}-v0", {"max_episode_steps": problem.size}),
         (
             *(Entry(f"nodes-{z}", "online-em", {"nodes": z} | settings) for z in NODES),
             Entry("random", "random", {}),
         ),
         episodes=episodes,
         seeds=seeds,
-        eval_episodes=1000,
-        eval_points=20,
+        eval_episodes=500,
+        eval_points=6,
     )
     known = registered(f"bnprl/{name}-v0")
     value = Comparison(

@@ -1,6 +1,6 @@
 """Table 4.2: mean reward per step after 75,000 steps, against U-trees.
 
-Protocol B: 75,000 steps of learning, 25,000 of evaluation, 21 trials.
+Protocol B: 75,000 steps of learning, 25,000 of evaluation; 5 trials where the source has 21.
 """
 
 from __future__ import annotations
@@ -28,9 +28,15 @@ METHODS = (
 OPTIMA = {"Shuttle": 1.838, "CheeseMaze": 0.1884, "Grid4x4": 0.1946}
 HORIZON = 51
 """Steps of an episode; the maze and the grid go on after the goal, from a new start."""
-SHIFTS = {"Shuttle": 3.0}
-"""The smallest reward of Shuttle is -3."""
-SMALL = {"batch_episodes": 20}
+EM: dict[str, Any] = {"batch_episodes": 5}
+INFINITE: dict[str, Any] = {"batch_episodes": 20, "schedule": "online"}
+SIGNED: dict[str, Any] = {
+    "batch_episodes": 20,
+    "weighting": "return",
+    "temperature": 4.0,
+    "inner_iterations": 3,
+}
+"""Of EM where rewards have both signs: in Shuttle, whose smallest is -3."""
 PATIENCE = 0.9999
 """Discount at which a discounted optimum is one per step, nearly."""
 
@@ -58,10 +64,12 @@ def known(name: str) -> tuple[Reference, ...]:
 
 def row(name: str) -> Comparison:
     """Return one environment's row."""
-    shift = {"reward_shift": SHIFTS[name]} if name in SHIFTS else {}
+    signed = name == "Shuttle"
+    em = SIGNED if signed else EM
+    shift = {"reward_shift": 3.0} if signed else {}
     contenders = (
-        *(Entry(f"online-em-{z}", "online-em", SMALL | {"nodes": z} | shift) for z in (10, 20, 30)),
-        Entry("infinite-rpr", "infinite-rpr", SMALL | {"schedule": "online"} | shift),
+        *(Entry(f"online-em-{z}", "online-em", em | {"nodes": z}) for z in (10, 20, 30)),
+        Entry("infinite-rpr", "infinite-rpr", INFINITE | shift),
         Entry("predictive-actor-critic", "predictive-actor-critic", {}),
         Entry("random", "random", {}),
     )
@@ -72,9 +80,9 @@ def row(name: str) -> Comparison:
         name.lower(),
         name,
         Experiment(
-            environment, contenders, steps=75_000, seeds=21, eval_episodes=episodes, eval_points=1
+            environment, contenders, steps=75_000, seeds=5, eval_episodes=episodes, eval_points=1
         ),
-        quick={"seeds": 2, "steps": 20_000},
+        quick={"seeds": 1, "steps": 20_000},
         measure=REWARD_PER_STEP,
         slow=Experiment(
             environment,
@@ -84,7 +92,7 @@ def row(name: str) -> Comparison:
             eval_episodes=episodes,
             eval_points=1,
         ),
-        slow_quick={"seeds": 1, "steps": 6_000},
+        slow_quick={"steps": 2_048},
         references=tuple(
             Reference(method, value, "source dissertation, Table 4.2")
             for method, value in zip(METHODS, SOURCE[name], strict=True)
@@ -100,8 +108,15 @@ REPRODUCTION = Reproduction(
         "The maze and the grid are in their continuing form, in which a step leads from the goal "
         "to a new start; episodes are cut after 51 steps. Mean reward per step is the sum of all "
         "evaluation episodes' rewards over their steps, some per cent less than in the long run.",
+        "What came out: predictive-actor-critic is within 5% of every optimum, where the U-trees "
+        "are too. EM is at the source's values in the maze and near the grid's optimum, but below "
+        "the source in Shuttle: one update sees 20 short episodes, and good ones are rare. iRPR is "
+        "below EM everywhere, as it explores for longer and learns from running means; the source "
+        "has no numbers of it here.",
         "The source's .259 on the grid is above the optimum of this model: it was another one.",
-        "recurrent-ppo has one seed. Shuttle's rewards are shifted by 3 for EM and iRPR.",
+        "Seeds are 5 where the source has 21 trials; recurrent-ppo has one.",
+        "Shuttle has negative rewards: online EM weighs episodes by exp(4 x standardised return), "
+        "since the source's shift of all rewards by 3, which iRPR has, drowns the signal.",
     ),
     shape="table",
 )

@@ -20,16 +20,17 @@ METHODS = ("RPR, 10 nodes", "RPR, 40 nodes", "iPOMDP", "PP-2", "PP-3")
 STEPS = {"Hallway": 3500, "Tag": 5000}
 SHIFTS: dict[str, dict[str, Any]] = {"Hallway": {}, "Tag": {"reward_shift": 10.0}}
 """The smallest reward of Tag is -10."""
-SMALL = {"batch_episodes": 5}
-"""So few steps hold some 50 episodes: learn from few at a time."""
+EM: dict[str, Any] = {"batch_episodes": 1}
+"""So few steps hold some 50 episodes: Algorithm 3 as printed, an update after each."""
+INFINITE: dict[str, Any] = {"batch_episodes": 5}
 
 
 def row(name: str) -> Comparison:
     """Return one environment's row."""
     shift = SHIFTS[name]
     contenders = (
-        *(Entry(f"online-em-{z}", "online-em", SMALL | {"nodes": z} | shift) for z in (10, 40)),
-        Entry("infinite-rpr", "infinite-rpr", SMALL | shift),
+        *(Entry(f"online-em-{z}", "online-em", EM | {"nodes": z} | shift) for z in (10, 40)),
+        Entry("infinite-rpr", "infinite-rpr", INFINITE | shift),
         Entry(
             "predictive-actor-critic",
             "predictive-actor-critic",
@@ -46,20 +47,20 @@ def row(name: str) -> Comparison:
             contenders,
             steps=STEPS[name],
             seeds=10,
-            eval_episodes=1000,
+            eval_episodes=250,
             eval_points=1,
         ),
-        quick={"seeds": 3},
+        quick={"seeds": 1},
         measure=EARNED,
         slow=Experiment(
             environment,
             (Entry("recurrent-ppo", "recurrent-ppo", {}),),
             steps=STEPS[name],
             seeds=2,
-            eval_episodes=1000,
+            eval_episodes=250,
             eval_points=1,
         ),
-        slow_quick={"seeds": 1},
+        slow_quick={"seeds": 1, "steps": 2_048},
         references=tuple(
             Reference(f"{method} (source)", value, "source dissertation, Table 4.3")
             for method, value in zip(METHODS, SOURCE[name], strict=True)
@@ -74,7 +75,15 @@ REPRODUCTION = Reproduction(
         "The sum is over the whole episodes that fit in the budget, 3,500 steps in Hallway and "
         "5,000 in Tag, and is lower than over all steps by a part of one episode.",
         "PP-2 and PP-3 are given an expert's trajectories; the others learn alone.",
-        "recurrent-ppo has 2 seeds, the others 10, and makes whole rollouts of 2,048 steps.",
+        "What came out: in Hallway EM earns a little more than the source's, but hardly more than "
+        "random behaviour: so few rewards come in. predictive-actor-critic earns about twice "
+        "that. In Tag the source's EM loses little beyond one a step, as if it never tagged in "
+        "vain; ours, with rewards shifted by 10, needs longer to unlearn that than 50 episodes. "
+        "predictive-actor-critic is ahead of PP-2 and behind the source's EM and PP-3.",
+        "recurrent-ppo has 2 seeds, the others 10, and makes whole rollouts of 2,048 steps: one in "
+        "Hallway and two in Tag, so that its sums are over fewer steps.",
+        "EM learns after every episode (Algorithm 3 as printed), iRPR after 5; in Tag the rewards "
+        "of both are shifted by 10.",
     ),
     shape="table",
 )
