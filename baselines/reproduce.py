@@ -59,11 +59,11 @@ def _reproduce(name: str, folder: Path, options: Reproduce, given: Sequence[str]
                 _check(experiment)
     failed = 0
     for panel in reproduction.panels:
-        for name, experiment in _experiments(panel, options.quick).items():
+        for place, experiment in _experiments(panel, options.quick).items():
             print(f"== {panel.title}", flush=True)
             failed |= conduct(
                 experiment,
-                folder / name,
+                folder / place,
                 given,
                 workers,
                 progress=options.progress,

@@ -8,7 +8,7 @@ from baselines.reproduction import LENGTH, Comparison, Reproduction, learner_met
 ENTRIES = tuple(
     entry for entry in PUDDLES if entry.contender.startswith("gpq") or entry.name.endswith("worst")
 )
-EXPERIMENT = contest("PuddleWorld", ENTRIES, steps=30_000, seeds=3, eval_points=6, eval_episodes=50)
+EXPERIMENT = contest("PuddleWorld", ENTRIES, steps=20_000, seeds=3, eval_points=4, eval_episodes=50)
 QUICK = {"seeds": 1, "steps": 15_000, "eval_points": 3, "eval_episodes": 10}
 
 REPRODUCTION = Reproduction(
