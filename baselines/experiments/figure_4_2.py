@@ -8,7 +8,7 @@ from baselines.experiments.figure_4_1 import PROBLEMS
 from baselines.reproduction import LENGTH, RETURN, REWARD, Comparison, Reproduction, registered
 
 NODES = (10, 20, 30, 40, 50, 60)
-RUNS = {"Hallway": (50_000, 3), "Tag": (8_000, 3)}
+RUNS = {"Hallway": (50_000, 3), "Tag": (5_000, 3)}
 """Training episodes and seeds."""
 QUICK = {"seeds": 1, "episodes": 1_000, "eval_points": 4, "eval_episodes": 250}
 
@@ -27,7 +27,7 @@ def panels(name: str) -> tuple[Comparison, ...]:
         episodes=episodes,
         seeds=seeds,
         eval_episodes=500,
-        eval_points=6,
+        eval_points=5,
     )
     known = registered(f"bnprl/{name}-v0")
     value = Comparison(
