@@ -171,7 +171,8 @@ def test_a_table_has_a_row_for_each_environment(tmp_path, monkeypatch, capsys):
 @pytest.mark.parametrize(("last", "scale"), [(1000.0, "log"), (-1000.0, "symlog")])
 def test_a_logarithmic_axis_takes_negative_numbers(last, scale):
     axes = Figure().subplots()
-    draw_panel(axes, TINY.panels[2], {"one": (np.arange(2.0), np.array([[30.0, last]]))})
+    lines = {"one": (np.arange(2.0), np.array([[30.0, last]]))}
+    draw_panel(axes, TINY.panels[2], lines, ["one"])
     assert axes.get_yscale() == scale
     low, high = axes.get_ylim()
     assert low <= last <= high
