@@ -57,13 +57,16 @@ def _reproduce(name: str, folder: Path, options: Reproduce, given: Sequence[str]
         for panel in reproduction.panels:
             for experiment in _experiments(panel, options.quick).values():
                 _check(experiment)
-    failed = 0
+    failed, conducted = 0, []
     for panel in reproduction.panels:
-        for name, experiment in _experiments(panel, options.quick).items():
+        for place, experiment in _experiments(panel, options.quick).items():
+            if (place, experiment) in conducted:  # another view of the same runs
+                continue
+            conducted.append((place, experiment))
             print(f"== {panel.title}", flush=True)
             failed |= conduct(
                 experiment,
-                folder / name,
+                folder / place,
                 given,
                 workers,
                 progress=options.progress,
