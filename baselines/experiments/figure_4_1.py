@@ -40,7 +40,7 @@ PROBLEMS = {
     "CheeseMaze": Problem(20, 251, 5_000, 50, 20),
     "Grid4x4": Problem(20, 251, 5_000, 100, 20),
     "Hallway": Problem(40, 101, 10_000, 100, 100),
-    "Tag": Problem(40, 101, 5_000, 50, 20, 10.0),
+    "Tag": Problem(40, 101, 4_000, 50, 20, 10.0),
 }
 SOURCE = {
     "Hallway": (
@@ -112,7 +112,7 @@ REPRODUCTION = Reproduction(
         "batch-em-all is the source's batch method: all episodes so far, by their importance "
         "ratios; it learns 20 times on the way. batch-em-newest learns from the newest batch "
         "alone, on-policy; online-em from 20 episodes at a time, in Hallway 100.",
-        "3 seeds where the source has 5, and 10,000 (Hallway) and 5,000 (Tag) episodes where it "
+        "3 seeds where the source has 5, and 10,000 (Hallway) and 4,000 (Tag) episodes where it "
         "has 50,000; recurrent-ppo and ours (predictive-actor-critic) have 2 seeds and 25 to 100 "
         "episodes.",
         "Reference values are over an infinite horizon; the source stopped batch EM before 1,000 "
