@@ -57,9 +57,12 @@ def _reproduce(name: str, folder: Path, options: Reproduce, given: Sequence[str]
         for panel in reproduction.panels:
             for experiment in _experiments(panel, options.quick).values():
                 _check(experiment)
-    failed = 0
+    failed, conducted = 0, []
     for panel in reproduction.panels:
         for place, experiment in _experiments(panel, options.quick).items():
+            if (place, experiment) in conducted:  # another view of the same runs
+                continue
+            conducted.append((place, experiment))
             print(f"== {panel.title}", flush=True)
             failed |= conduct(
                 experiment,

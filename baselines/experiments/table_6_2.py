@@ -147,7 +147,7 @@ REPRODUCTION = Reproduction(
         "which goes on, where more than one is worth trying. On Dec-Tiger its rows begin at "
         "random, since the last observation alone is worth nothing, and weights are linear in the "
         "return, since exponential ones pay for opening a door by chance. our-mcem shifts the "
-        "rewards above 0.",
+        "rewards above 0, which makes its steps small: it is far from done at these budgets.",
         f"Both learn from episodes of {HORIZON} steps; the values are of endless ones.",
         "controller-search had 30 million simulated steps of each of three seeds; "
         "`python -m baselines.benchmarks.team_learners` gives it up to 300 million and 10 seeds.",
