@@ -20,7 +20,7 @@ EXPERIMENT = Experiment(
         Entry("by-reward", "stick-breaking", {"batch_episodes": K} | REWARD),
     ),
     episodes=40 * K,
-    seeds=5,
+    seeds=3,
     eval_episodes=100,
     eval_points=10,
 )
