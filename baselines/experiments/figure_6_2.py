@@ -20,9 +20,9 @@ EXPERIMENT = Experiment(
         Entry("by-reward", "stick-breaking", {"batch_episodes": K} | REWARD),
     ),
     episodes=40 * K,
-    seeds=5,
+    seeds=3,
     eval_episodes=100,
-    eval_points=10,
+    eval_points=8,
 )
 
 
@@ -42,7 +42,7 @@ REPRODUCTION = Reproduction(
     title="Figure 6.2: stick-breaking on Mars rovers",
     panels=(
         _panel("Exact value", EXACT),
-        _panel("Lower bound", learner_metric("lower bound (6.2)", "bound")),
+        _panel("Lower bound", learner_metric("lower bound (6.2), rows met", "bound_met")),
         _panel("Nodes in use, mean of the agents", learner_metric("nodes", "nodes")),
     ),
     notes=(
@@ -50,7 +50,9 @@ REPRODUCTION = Reproduction(
         "so the bound is of other data each time; on fixed data it never falls, "
         "which `pytest tests/agents/test_stick_breaking.py` shows.",
         "by-return has the defaults, by-reward is Algorithm 5 on rewards shifted by 11; their "
-        "bounds are of different evidence, and only the shape of each says something.",
+        "bounds are of different evidence. Rows that no episode has met are left out of them: they "
+        "begin far from the prior, and their divergence would drown the rest; so the bound falls "
+        "where rows are met for the first time.",
         "The source gives this figure as a picture, without numbers; its table has 20.62, which "
         "table-6.2 reaches with several starts.",
     ),

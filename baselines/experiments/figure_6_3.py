@@ -41,7 +41,7 @@ COPIES = 50
 SEARCH_COPIES = 8
 SEARCH = ControllerSearchConfig(explore_seeds=16, refine_seeds=64, judge_seeds=512)
 """The default numbers of episodes: here each seed begins one in every copy."""
-SEARCH_STEPS, EM_STEPS = 500_000, 60_000
+SEARCH_STEPS, EM_STEPS = 300_000, 30_000
 POINTS = 4
 """Evaluations of a helped run, and of one by EM."""
 SEEDS = 2
@@ -196,10 +196,10 @@ REPRODUCTION = Reproduction(
                     Entry("ppo-independent", "ppo-independent", {}),
                     Entry("ppo-shared", "ppo-shared", {}),
                 ),
-                steps=32_000,
+                steps=16_000,
                 seeds=1,
                 eval_episodes=COPIES,
-                eval_points=4,
+                eval_points=2,
             ),
             slow_quick={"steps": 1600, "eval_points": 1, "eval_episodes": 16},
             computed=hand_coded,

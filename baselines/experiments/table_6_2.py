@@ -148,6 +148,8 @@ REPRODUCTION = Reproduction(
         "random, since the last observation alone is worth nothing, and weights are linear in the "
         "return, since exponential ones pay for opening a door by chance. our-mcem shifts the "
         "rewards above 0, which makes its steps small: it is far from done at these budgets.",
+        "The column dissertation is the source's DEC-SBPR, mcem what it prints of Wu et al. 2013; "
+        "pbvi-bb and periem are its planners, mc-jesp has a simulator alone (2023).",
         f"Both learn from episodes of {HORIZON} steps; the values are of endless ones.",
         "controller-search had 30 million simulated steps of each of three seeds; "
         "`python -m baselines.benchmarks.team_learners` gives it up to 300 million and 10 seeds.",

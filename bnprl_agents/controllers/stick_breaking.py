@@ -17,7 +17,6 @@ from bnprl_agents.controllers.initialisation import (
 from bnprl_agents.controllers.messages import Counts
 from bnprl_agents.controllers.priors import (
     Posterior,
-    Prior,
     evidence_arrays,
     node_count,
     restored_evidence,
@@ -74,6 +73,16 @@ class StickBreakingPrior:
         """Build a saved posterior again."""
         sticks = [self._sticks(parameters, name) for name in ("initial", "successor")]
         return self._posterior(parameters["action"], *sticks)
+
+    def unmet_divergence(self, posterior: Posterior) -> float:
+        """KL of the rows that are as they began, which `sticks_around` gave their rate."""
+        found = 0.0
+        for name in ("initial", "successor"):
+            sticks = self._sticks(posterior.parameters, name)
+            unmet = (sticks.rate == self.shape + 1.0).all(axis=-1)
+            kept = Sticks(*(part[unmet] for part in sticks))
+            found += stick_divergence(kept, self.shape, self.rate)
+        return found
 
     def _updated(self, counts: FloatArray, old: Sticks) -> Sticks:
         seen = counts.sum(axis=-1) > self.row_evidence
@@ -215,6 +224,7 @@ class StickBreaking(BayesianEM):
 
     Config = StickBreakingConfig
     config: StickBreakingConfig
+    priors: tuple[StickBreakingPrior, ...]
     earned: float = 0.0
     best: Start | None = None
 
@@ -225,7 +235,7 @@ class StickBreaking(BayesianEM):
             return controllers_of_observations(drawn)
         return drawn
 
-    def make_priors(self) -> tuple[Prior, ...]:
+    def make_priors(self) -> tuple[StickBreakingPrior, ...]:
         """The same hyper-priors for every agent."""
         config = self.config
         second = config.hyper_second
@@ -241,7 +251,12 @@ class StickBreaking(BayesianEM):
         )
 
     def learn(self, episodes: EpisodeBatch) -> Metrics:
-        """Learn from a batch; see `NestedEM.learn`. Also returns the agents' mean node count."""
+        """Learn from a batch; see `NestedEM.learn`.
+
+        Also returns the agents' mean node count and `bound_met`, the lower bound without the
+        divergence of rows that never had evidence: they begin far from the prior, and would drown
+        the rest.
+        """
         starting, update = divmod(self.updates, self.config.start_updates)
         first = update == 0 and starting < self.config.starts
         if first and self.config.initialisation == "episodes":
@@ -250,7 +265,13 @@ class StickBreaking(BayesianEM):
                     episodes, self.controllers, self.discount, self.config.initial_episodes
                 )
             )
+        unmet = sum(
+            prior.unmet_divergence(posterior)
+            for prior, posterior in zip(self.priors, self.posteriors, strict=True)
+        )
         metrics = super().learn(episodes)
+        if "bound" in metrics:
+            metrics["bound_met"] = metrics["bound"] + unmet
         used = [node_count(counts, self.config.node_share) for counts in self.statistics]
         earned = metrics["return_mean"]
         self.earned = earned if first else 0.5 * (self.earned + earned)
