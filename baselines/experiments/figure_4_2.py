@@ -54,6 +54,12 @@ REPRODUCTION = Reproduction(
         "An episode of Hallway earns 1 at the goal and nothing else, so that the mean sum of its "
         "rewards is the share of episodes that reach it; in Tag the steps say as much, 101 being "
         "those of an episode that is cut.",
+        "3 seeds; 50,000 episodes in Hallway as in the source, in Tag 5,000 where it has 50,000.",
+        "What came out: in Hallway every size is above the source's .3, and from 20 nodes on EM is "
+        "at the best memoryless policy or a little above it; more nodes than that gain little. In "
+        "Tag EM first learns not to tag in vain, which is worth about -20, and is still there, "
+        "the signal being weak under rewards shifted by 10; the source has -8 after ten times as "
+        "many episodes.",
         "Other learners in these two environments: figure 4.1.",
     ),
 )
