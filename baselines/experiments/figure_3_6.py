@@ -22,7 +22,6 @@ REPRODUCTION = Reproduction(
             ),
             {"seeds": 1, "steps": 15_000, "eval_points": 3, "eval_episodes": 10},
             RETURN,
-            logarithmic=True,
         )
         for side in (10, 20)
     ),
