@@ -20,9 +20,9 @@ EXPERIMENT = Experiment(
         Entry("by-reward", "stick-breaking", {"batch_episodes": K} | REWARD),
     ),
     episodes=40 * K,
-    seeds=3,
+    seeds=2,
     eval_episodes=100,
-    eval_points=8,
+    eval_points=5,
 )
 
 
