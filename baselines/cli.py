@@ -63,6 +63,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return _version()
         with _terminable():
             return _run(_parse(given), given)
+    except BrokenPipeError:  # whoever was reading has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 128 + signal.SIGPIPE
     except UsageError as error:
         print(f"bnprl: error: {error}", file=sys.stderr)
         return 2

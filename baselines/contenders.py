@@ -127,7 +127,7 @@ CONTENDERS: dict[str, Contender] = {
             "gpq-optimistic",
             "bnprl_agents.gaussian_process.gp_q:GPQ",
             "OptimisticGPQConfig",
-            "the same, greedy on mean plus two variances",
+            "GPQ that is greedy on mean plus two variances",
         ),
         _agent(
             "gp-fitted-q",

@@ -19,6 +19,8 @@ IntArray = npt.NDArray[np.int64]
 
 COPIES = 1024
 """Largest number of copies that one evaluation steps together."""
+LONGEST = 100_000
+"""Steps after which an episode is taken to be endless."""
 
 
 class Policy(Protocol):
@@ -77,8 +79,8 @@ def evaluate(
             unless stated: the most probable actions of a controller are another policy.
 
     Raises:
-        ValueError: `episodes` is below 1, the policy was made for other spaces, or as
-            `EnvironmentSpec.make_vec`.
+        ValueError: `episodes` is below 1, the policy was made for other spaces, an episode does
+            not end within `LONGEST` steps, or as `EnvironmentSpec.make_vec`.
     """
     if episodes < 1:
         raise ValueError(f"episodes: {episodes}, must be at least 1")
@@ -162,6 +164,11 @@ def _simulate(
             weight *= discount
             elapsed += 1
             begun = terminated | truncated
+            if elapsed.max() >= LONGEST and not begun[elapsed.argmax()]:
+                raise ValueError(
+                    f"{environment.id}: an episode of {LONGEST:,} steps has not ended; give the "
+                    "environment max_episode_steps, as gymnasium.register does"
+                )
             if begun.any():
                 counted = begun & (row < end)
                 ends = row[counted]

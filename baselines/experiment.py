@@ -118,14 +118,15 @@ def _setting(text: str, value: str, default: Any) -> Any:
     if default is None or isinstance(default, str):
         return value
     try:
-        parsed = json.loads(value)
-    except json.JSONDecodeError:
-        parsed = None
-    if isinstance(default, float) and type(parsed) is int:
-        parsed = float(parsed)
-    if type(parsed) is not type(default):
-        raise ValueError(f"--set {text}: {value!r} is no {type(default).__name__}")
-    return parsed
+        if isinstance(default, bool):
+            return {"true": True, "false": False}[value.lower()]
+        if isinstance(default, list):
+            return [float(part) for part in value.strip("[]").split(",") if part.strip()]
+        return type(default)(value)
+    except (ValueError, KeyError):
+        wanted = {bool: "true or false", int: "a whole number", float: "a number"}
+        kind = wanted.get(type(default), "a list of numbers, as in .1,.2")
+        raise ValueError(f"--set {text}: {value!r} must be {kind}") from None
 
 
 @dataclass(frozen=True)

@@ -37,9 +37,8 @@ def draw(
     n = len(reproduction.panels)
     columns = min(n, reproduction.columns)
     rows = -(-n // columns)
-    figure = Figure(
-        figsize=(1.5 + 4.6 * columns, 4.6 * rows), facecolor=PAPER, layout="constrained"
-    )
+    width = 1.5 + 4.6 * columns
+    figure = Figure(figsize=(width, 4.6 * rows), facecolor=PAPER, layout="constrained")
     every = figure.subplots(rows, columns, squeeze=False).ravel()
     for axes in every[n:]:
         axes.set_visible(False)
@@ -52,13 +51,18 @@ def draw(
         handles.values(),
         handles,
         loc="outside lower center",
-        ncols=min(4 if columns > 1 else 3, len(handles) or 1),
+        ncols=max(1, min(4, len(handles), int(width / _legend_width(labels)))),
         frameon=False,
         labelcolor=INK,
         handlelength=3.0,
     )
     figure.suptitle(reproduction.title, color=INK, fontsize=13)
     return _png(figure)
+
+
+def _legend_width(labels: Sequence[str]) -> float:
+    """Inches that a column of a legend of these labels takes."""
+    return 1.0 + 0.09 * max(map(len, labels), default=0)
 
 
 def _draw_references(axes: Axes, rows: Sequence[Mapping[str, Any]]) -> None:

@@ -22,8 +22,9 @@ from numba.extending import overload
 
 from bnprl_agents.agent import Metrics
 from bnprl_agents.episodes import FloatArray
-from bnprl_agents.training import Budget, Progress, check_batch, horizon_of
+from bnprl_agents.training import Budget, Progress, check_batch
 from bnprl_agents.value_learner import Transitions, ValueAgent
+from bnprl_envs.horizon import horizon_of
 from bnprl_envs.worlds import advance, begin, world_of
 
 REPORTS = 200

@@ -13,7 +13,8 @@ from bnprl_agents.discrete import DiscreteSpaces
 from bnprl_agents.episodes import BoolArray, EpisodeBatch, FloatArray, IntArray
 from bnprl_agents.policy_files import Arrays
 from bnprl_agents.recorder import EpisodeRecorder
-from bnprl_agents.training import Budget, Progress, check_batch, horizon_of
+from bnprl_agents.training import Budget, Progress, check_batch
+from bnprl_envs.horizon import horizon_of
 from bnprl_envs.model import TabularModel
 
 
@@ -46,12 +47,20 @@ class HistoryAgent(Agent):
         seed: int,
     ) -> None:
         super().__init__(observation_space, action_space, config, discount=discount, seed=seed)
-        self.spaces = DiscreteSpaces(observation_space, action_space)
+        self.spaces = self.translate(observation_space, action_space)
         n_agents = len(self.spaces.action_sizes)
         self._recorder = EpisodeRecorder(n_agents)
         self._belief: list[FloatArray] = []
         self._seen = np.zeros((0, n_agents), dtype=np.int64)
         self._alive = np.zeros(0, dtype=np.bool_)
+
+    def translate(self, observation_space: Any, action_space: Any) -> DiscreteSpaces:
+        """How observations and actions become indices.
+
+        Raises:
+            ValueError: they cannot.
+        """
+        return DiscreteSpaces(observation_space, action_space)
 
     @abc.abstractmethod
     def learn(self, episodes: EpisodeBatch) -> Metrics:

@@ -113,14 +113,6 @@ def check_batch(env: Any) -> None:
         )
 
 
-def horizon_of(env: Any) -> int | None:
-    """Return after how many steps an environment's episodes are cut; None: never."""
-    limit: int | None = getattr(env, "max_episode_steps", None)
-    if limit is None:
-        limit = getattr(getattr(env, "spec", None), "max_episode_steps", None)
-    return limit
-
-
 def step_copies(
     agent: Agent, env: gym.vector.VectorEnv[Any, Any, Any], budget: Budget, seed: int
 ) -> Iterator[Progress]:

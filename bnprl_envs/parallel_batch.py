@@ -13,6 +13,7 @@ from gymnasium.vector.utils import batch_space
 from pettingzoo import ParallelEnv
 
 from bnprl_envs.arguments import checked_mask
+from bnprl_envs.horizon import horizon_of
 from bnprl_envs.team import BatchStep, IntArray, joint_space
 
 
@@ -29,6 +30,7 @@ class ParallelBatch(VectorEnv[IntArray, IntArray, Any]):
     Attributes:
         num_envs: the number of copies.
         possible_agents: the agents' names, in the order of the columns.
+        max_episode_steps: after which an episode is cut; None where a copy does not say.
 
     Raises:
         ValueError: a space is not Discrete.
@@ -42,6 +44,7 @@ class ParallelBatch(VectorEnv[IntArray, IntArray, Any]):
     def __init__(self, make: Callable[[], ParallelEnv], copies: int = 1) -> None:
         self._envs = [make() for _ in range(copies)]
         self.num_envs = copies
+        self.max_episode_steps = horizon_of(self._envs[0])
         self.possible_agents = list(self._envs[0].possible_agents)
         self.single_observation_space = self._joined("observation")
         self.single_action_space = self._joined("action")

@@ -45,7 +45,8 @@ def largest_errors(quick: bool) -> Lines:
             stop_when_diverging=False,
         )
         error = np.array([1.0, *fit.largest])
-        label = f"{regularization} ({process.regularization:.3g})"
+        chosen = f"{process.regularization:.3g}"
+        label = f"auto, {chosen}" if regularization == "auto" else chosen
         lines[f"noise variance {label}"] = (np.arange(float(error.size)), error[None])
     return lines
 

@@ -14,7 +14,8 @@ from bnprl_agents.controllers.rollout import check_fit, rollout
 from bnprl_agents.episodes import EpisodeBatch, FloatArray, IntArray
 from bnprl_agents.history_agent import HistoryAgent
 from bnprl_agents.policy_files import Arrays
-from bnprl_agents.training import Budget, Progress, horizon_of
+from bnprl_agents.training import Budget, Progress
+from bnprl_envs.horizon import horizon_of
 from bnprl_envs.model import TabularModel
 
 

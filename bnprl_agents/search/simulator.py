@@ -10,8 +10,8 @@ import numpy.typing as npt
 
 from bnprl_agents.episodes import FloatArray, IntArray
 from bnprl_agents.search.tables import DecisionTables
-from bnprl_agents.training import horizon_of
 from bnprl_envs.grid_traffic_batch import GridTrafficBatch
+from bnprl_envs.horizon import horizon_of
 from bnprl_envs.model import TabularModel
 
 UInt64Array = npt.NDArray[np.uint64]
@@ -137,7 +137,10 @@ def simulator_of(env: Any, discount: float) -> TeamSimulator:
 
     limit = horizon_of(env)
     if limit is None:
-        raise ValueError("environment: has no max_episode_steps, but the search needs a limit")
+        raise ValueError(
+            "environment: has no max_episode_steps (PettingZoo: max_cycles), but the search "
+            "needs a limit"
+        )
     model = getattr(env, "model", None)
     if isinstance(model, TabularModel):
         return TabularSimulator(model, discount=discount, max_episode_steps=limit)

@@ -168,7 +168,7 @@ EM = ["compare", HALLWAY, "--agents", "online-em", *SMALL]
         ),
         ([*EM, "--set", "nodes=3"], "must be AGENT.FIELD=VALUE, AGENT one of online-em"),
         ([*EM, "--set", "online-em.noddes=3"], "did you mean nodes"),
-        ([*EM, "--set", "online-em.nodes=many"], "'many' is no int"),
+        ([*EM, "--set", "online-em.nodes=many"], "'many' must be a whole number"),
         ([*EM, "--set", "online-em.nodes=2", "online-em.nodes=3"], "nodes: is given 2 times"),
         ([*EM, "--set", "online-em.nodes=0"], "nodes: 0, must be at least 1"),
     ],

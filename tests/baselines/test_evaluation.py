@@ -190,6 +190,22 @@ def _hallway(num_envs: int) -> Any:
     return gym.make_vec("bnprl/Hallway-v0", num_envs=num_envs, autoreset_mode="Disabled")
 
 
+def test_an_endless_episode_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(evaluation, "LONGEST", 10)
+    with pytest.raises(ValueError, match="an episode of 10 steps has not ended"):
+        evaluate(Still(), COIN, episodes=20, seed=0)
+
+
+def test_the_random_agent_looks_at_no_box() -> None:
+    spec = EnvironmentSpec("CartPole-v1")
+    env = spec.make_vec(1)
+    spaces = env.single_observation_space, env.single_action_space
+    agent = RandomAgent(*spaces, discount=0.99, seed=0)
+    assert agent.predict(np.zeros(4))[0] in (0, 1)
+    assert agent.predict(np.zeros((5, 4)))[0].shape == (5,)
+    assert 10.0 < evaluate(agent, spec, episodes=100, seed=0).lengths.mean() < 40.0
+
+
 def test_random_agent_runs_everywhere_discrete() -> None:
     spec = EnvironmentSpec("FrozenLake-v1")
     env = spec.make_vec(1)

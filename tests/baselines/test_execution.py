@@ -214,6 +214,10 @@ def test_numbers_out_of_range_are_named(changes: dict[str, Any], reason: str) ->
 def test_settings_are_assigned_by_name() -> None:
     (entry,) = configured_entries(["fake"], ["fake.gain=3"])
     assert entry.build_settings() == FakeSettings(gain=3.0)
+    (gpq,) = configured_entries(["gpq"], ["gpq.noise=.5", "gpq.low=[-.1]"])
+    assert (gpq.settings["noise"], gpq.settings["low"]) == (0.5, [-0.1])
+    with pytest.raises(ValueError, match=r"gpq.bandwidth=.1,x: '.1,x' must be a list of numbers"):
+        configured_entries(["gpq"], ["gpq.bandwidth=.1,x"])
     with pytest.raises(ValueError, match="given twice"):
         configured_entries(["fake", "fake"], [])
 

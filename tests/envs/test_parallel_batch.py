@@ -17,6 +17,11 @@ def dec_tiger() -> TabularParallelEnv:
     return TabularParallelEnv("bnprl/DecTiger-v0", max_episode_steps=3)
 
 
+def test_the_copies_horizon_is_the_batchs() -> None:
+    assert ParallelBatch(dec_tiger, 2).max_episode_steps == 3
+    assert ParallelBatch(lambda: pairs.Pair(max_cycles=7), 2).max_episode_steps == 7
+
+
 def test_columns_are_the_episodes_of_the_copies() -> None:
     batch, envs = ParallelBatch(dec_tiger, 2), [dec_tiger(), dec_tiger()]
     rng = np.random.default_rng(0)
