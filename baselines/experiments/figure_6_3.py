@@ -44,8 +44,7 @@ SEARCH = ControllerSearchConfig(explore_seeds=16, refine_seeds=64, judge_seeds=5
 SEARCH_STEPS, EM_STEPS = 300_000, 30_000
 POINTS = 4
 """Evaluations of a helped run, and of one by EM."""
-SEEDS = 1
-"""Of these."""
+SEARCH_SEEDS, EM_SEEDS = 10, 1
 UNITS = "units that pass in a step"
 SIZES: dict[str, Any] = {"nodes": 4, "batch_episodes": 100}
 
@@ -149,27 +148,30 @@ def helped(quick: bool) -> Lines:
     spaces = agent_spaces(GridTrafficBatch(1))
     plain, disturbed = GridTrafficBatch(COPIES), HelpedTraffic(GridTrafficBatch(SEARCH_COPIES))
     config, mcem = StickBreakingConfig(**SIZES), MonteCarloEMConfig(**SIZES)
-    contenders: dict[str, tuple[Callable[[int], ControllerAgent], Any, int]] = {
+    contenders: dict[str, tuple[Callable[[int], ControllerAgent], Any, int, int]] = {
         "controller-search": (
             lambda seed: ControllerSearch(*spaces, SEARCH, discount=0.9, seed=seed),
             disturbed,
             SEARCH_STEPS,
+            2 if quick else SEARCH_SEEDS,
         ),
         "stick-breaking": (
             lambda seed: HelpedStickBreaking(*spaces, config, discount=0.9, seed=seed),
             plain,
             EM_STEPS,
+            EM_SEEDS,
         ),
         "mcem": (
             lambda seed: HelpedMonteCarloEM(*spaces, mcem, discount=0.9, seed=seed),
             plain,
             EM_STEPS,
+            EM_SEEDS,
         ),
     }
     lines = {}
-    for name, (make, env, steps) in contenders.items():
+    for name, (make, env, steps, seeds) in contenders.items():
         budget = steps // 5 if quick else steps
-        runs = [curve(make(seed), env, budget, seed) for seed in range(SEEDS)]
+        runs = [curve(make(seed), env, budget, seed) for seed in range(seeds)]
         lines[name] = (np.linspace(0, budget, POINTS + 1)[1:], np.array(runs))
     return lines
 
@@ -203,7 +205,7 @@ REPRODUCTION = Reproduction(
                     Entry("mcem", "mcem", SIZES),
                 ),
                 steps=EM_STEPS,
-                seeds=SEEDS,
+                seeds=EM_SEEDS,
                 eval_episodes=COPIES,
                 eval_points=POINTS,
             ),
