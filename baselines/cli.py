@@ -48,6 +48,8 @@ COMMANDS: dict[str, tuple[type[Any], str]] = {
     "watch": (options.Watch, "watch:watch"),
 }
 """Name -> what it takes, and "module:function" of what it does, imported when it is wanted."""
+BROKEN_PIPE = 141
+"""Exit code of a command whose output nobody reads to the end, as shells count signals."""
 RECORDING = (options.Train, options.Compare, options.Reproduce)
 
 
@@ -61,17 +63,26 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         if given[:1] == ["--version"]:
             return _version()
-        with _terminable():
+        with _terminable(), _flushed():
             return _run(_parse(given), given)
     except BrokenPipeError:  # whoever was reading has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 128 + signal.SIGPIPE
+        return BROKEN_PIPE
     except UsageError as error:
         print(f"bnprl: error: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt as end:
         print("bnprl: interrupted; the same command resumes", file=sys.stderr)
         return end.args[0] if end.args else 128 + signal.SIGINT
+
+
+@contextlib.contextmanager
+def _flushed() -> Iterator[None]:
+    """Write out what was printed, so that a pipe that has closed is noticed here."""
+    try:
+        yield
+    finally:
+        sys.stdout.flush()
 
 
 @contextlib.contextmanager

@@ -212,14 +212,22 @@ class SB3VecEnv(VecEnv):
         return [getattr(self.env, attr_name)] * len(list(self._get_indices(indices)))
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Refused: copies of a native vector environment have no attributes of their own."""
-        raise NotImplementedError(f"set_attr({attr_name!r}): the copies are not separate objects")
+        """Refuse: copies of a native vector environment have no attributes of their own.
+
+        Raises:
+            AttributeError: always.
+        """
+        raise AttributeError(f"{attr_name}: copies are not separate objects, nothing can be set")
 
     def env_method(
         self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any
     ) -> list[Any]:
-        """Refused: copies of a native vector environment have no methods of their own."""
-        raise NotImplementedError(f"env_method({method_name!r}): the copies are not separate")
+        """Refuse: copies of a native vector environment have no methods of their own.
+
+        Raises:
+            AttributeError: always.
+        """
+        raise AttributeError(f"{method_name}: the copies are not separate objects with methods")
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: Any = None) -> list[bool]:
         """Say yes to Monitor, whose statistics the infos hold, and no to any other."""

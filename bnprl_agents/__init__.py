@@ -26,7 +26,8 @@ from bnprl_agents.policy_files import PolicyFileError
 from bnprl_agents.q_learning.linear_q import GQ, GQConfig, LinearQ, LinearQConfig
 from bnprl_agents.q_learning.tabular_q import TabularQ, TabularQConfig
 from bnprl_agents.random_agent import RandomAgent, RandomConfig
-from bnprl_agents.search.controller_search import ControllerSearch, ControllerSearchConfig
+from bnprl_agents.search.controller_search import ControllerSearch
+from bnprl_agents.search.settings import ControllerSearchConfig
 from bnprl_agents.search.simulator import TeamSimulator, simulator_of
 from bnprl_agents.training import Progress, train
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -76,39 +77,53 @@ def stochastic_memoryless_policy(
     if model.n_agents != 1:
         raise ValueError(f"model: {model.n_agents} agents, must be one")
     chain = sensor_chain(model)
-    ascent = Ascent(chain, model.action_sizes, model.observation_sizes, chosen)
-    shape = (model.n_observations + 1, model.n_actions)
+    climbs = Ascent(chain, model.action_sizes, model.observation_sizes, chosen)
     random = np.random.default_rng(seed)
-    ascent.restart(random, late=lambda: True)  # compiles it
+    climbs.restart(random, late=lambda: True)  # compiles it
     clock = Clock(seconds, on_progress)
-    best = StochasticPolicy(np.full(shape, 1.0 / model.n_actions), -np.inf)
+    uniform = np.full((model.n_observations + 1, model.n_actions), 1.0 / model.n_actions)
+    ascent = _LogitAscent(chain, chosen, clock, StochasticPolicy(uniform, -np.inf))
     if initial is not None:
         table = policy_table(model, 0, initial)
-        best = StochasticPolicy(table, solve_chain(chain, table, chosen).value)
-
-    def loss(logits: FloatArray) -> tuple[float, FloatArray]:
-        nonlocal best
-        policy = np.exp(log_softmax(logits.reshape(shape), axis=1))
-        value, gradient = _value_gradient(chain, policy, chosen)
-        if value > best.value:
-            best = StochasticPolicy(policy, value)
-        return -value, -gradient.ravel()
-
-    def after_iteration(intermediate_result: object) -> None:
-        clock.report(best.value)
-        if clock.late():
-            raise StopIteration
-
+        ascent.best = StochasticPolicy(table, solve_chain(chain, table, chosen).value)
     for restart in itertools.count():
         if restart == restarts or (restart and clock.late()):
             break
-        logits = random.normal(size=shape)
+        logits = random.normal(size=uniform.shape)
         if restart == 0 and initial is not None:
-            logits += _NEAR * best.probabilities
+            logits += _NEAR * ascent.best.probabilities
         elif restart % 2 == 0:
-            climbs = [ascent.restart(random, clock.late) for _ in range(_CLIMBS)]
-            _, found = max(climbs, key=lambda climb: climb[0])
-            logits[np.arange(shape[0]), found] += _NEAR
+            local = [climbs.restart(random, clock.late) for _ in range(_CLIMBS)]
+            _, found = max(local, key=lambda climb: climb[0])
+            logits[np.arange(len(logits)), found] += _NEAR
+        ascent.climb(logits)
+    return ascent.best
+
+
+@dataclass
+class _LogitAscent:
+    """Ascent on the exact value over logits; remembers the best policy of all climbs."""
+
+    chain: SensorChain
+    discount: float
+    clock: Clock
+    best: StochasticPolicy
+
+    def climb(self, logits: FloatArray) -> None:
+        """Climb from logits (O + 1, A) until nothing is gained or the time is over."""
+
+        def loss(flat: FloatArray) -> tuple[float, FloatArray]:
+            policy = np.exp(log_softmax(flat.reshape(logits.shape), axis=1))
+            value, gradient = _value_gradient(self.chain, policy, self.discount)
+            if value > self.best.value:
+                self.best = StochasticPolicy(policy, value)
+            return -value, -gradient.ravel()
+
+        def after_iteration(intermediate_result: object) -> None:
+            self.clock.report(self.best.value)
+            if self.clock.late():
+                raise StopIteration
+
         minimize(
             loss,
             logits.ravel(),
@@ -117,7 +132,6 @@ def stochastic_memoryless_policy(
             callback=after_iteration,
             options={"maxiter": 2000, "maxfun": 4000, "ftol": 1e-12, "gtol": 1e-9, "maxcor": 20},
         )
-    return best
 
 
 def _value_gradient(

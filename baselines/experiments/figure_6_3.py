@@ -27,7 +27,8 @@ from bnprl_agents.controllers.learner import ControllerAgent
 from bnprl_agents.controllers.mcem import MonteCarloEM, MonteCarloEMConfig
 from bnprl_agents.controllers.stick_breaking import StickBreaking, StickBreakingConfig
 from bnprl_agents.episodes import FloatArray
-from bnprl_agents.search.controller_search import ControllerSearch, ControllerSearchConfig
+from bnprl_agents.search.controller_search import ControllerSearch
+from bnprl_agents.search.settings import ControllerSearchConfig
 from bnprl_agents.training import train
 from bnprl_envs import GridTrafficBatch
 from bnprl_envs.hand_coded import POLICIES, follow_longer_queue
@@ -243,7 +244,7 @@ REPRODUCTION = Reproduction(
         "figure's numbers do not carry over.",
         "controller-search lets all agents of equal spaces share one controller; the others "
         "learn a hundred controllers or networks, ppo-shared one network that knows its agent.",
-        "EM has 300 episodes and PPO 48, which take minutes each, and nothing comes of them: the "
+        "EM has 300 episodes and PPO 48, which take it minutes, and nothing comes of them: the "
         "team's one reward says next to nothing of one agent among a hundred. The search's shared "
         "tables make one agent's change everybody's.",
     ),

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -11,13 +10,15 @@ import numpy as np
 from bnprl_agents.agent import Metrics
 from bnprl_agents.controllers.controller import Controller, uniform_controller
 from bnprl_agents.controllers.learner import ControllerAgent
-from bnprl_agents.episodes import BoolArray, EpisodeBatch, IntArray
+from bnprl_agents.episodes import BoolArray, EpisodeBatch
 from bnprl_agents.policy_files import Arrays
 from bnprl_agents.search.best_response import respond_in_turn
 from bnprl_agents.search.climbing import Climber
 from bnprl_agents.search.leaderboard import Leaderboard
 from bnprl_agents.search.memory import MemoryShape, random_tables, remembering_more, shapes
 from bnprl_agents.search.moves import ACT, BRANCH, REDIRECT, apply_moves, list_moves
+from bnprl_agents.search.roles import shared_roles
+from bnprl_agents.search.settings import ControllerSearchConfig
 from bnprl_agents.search.simulator import (
     BudgetedSimulator,
     BudgetSpentError,
@@ -31,40 +32,6 @@ from bnprl_agents.training import Budget, Progress
 
 SHARES = {"explore": 1, "walk": 3, "refine": 1, "polish": 1}
 """Parts of the simulated steps that each activity gets."""
-
-
-@dataclass(frozen=True)
-class ControllerSearchConfig:
-    """Settings of `ControllerSearch`; the same serve every problem of the suite."""
-
-    nodes: int = 64
-    """Largest number of nodes of a controller."""
-    longest_period: int = 6
-    """Longest period of the clock that a restart may remember."""
-    widest_window: int = 2
-    """Most observations that a restart may remember."""
-    explore_seeds: int = 128
-    """Episodes on which the actions of a restart are climbed."""
-    refine_seeds: int = 512
-    """Episodes on which whole controllers are climbed."""
-    judge_seeds: int = 4096
-    """Episodes on which finished climbs are compared; restarts by an eighth of them."""
-    candidates: int = 16
-    """Best restarts that are kept for refinement."""
-    elites: int = 4
-    """Best refined teams that are kept for polishing."""
-    patience: int = 1024
-    """Moves in a row that may fail before a climb of whole controllers ends."""
-    kicks: int = 3
-    """Most random moves with which polishing begins."""
-    largest_team: int = 8
-    """Agents of a larger team share one controller where their spaces are equal."""
-
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            least = 0 if name == "widest_window" else 1
-            if value < least:
-                raise ValueError(f"{name}: {value}, must be at least {least}")
 
 
 class ControllerSearch(ControllerAgent):
@@ -344,18 +311,3 @@ class ControllerSearch(ControllerAgent):
         self.walks = self.walks.restored("walks", arrays)
         self.elites = self.elites.restored("elites", arrays)
         self.spent = {name: int(counters["spent"][name]) for name in SHARES}
-
-
-def shared_roles(
-    action_sizes: Sequence[int], observation_sizes: Sequence[int], largest_team: int
-) -> tuple[IntArray, IntArray]:
-    """Role of each agent (N,), and one agent of each role (M,).
-
-    In a team larger than `largest_team` agents of equal spaces have the same role; in a smaller
-    one everybody has a role of its own.
-    """
-    sizes = np.stack([action_sizes, observation_sizes], axis=1)
-    if len(sizes) <= largest_team:
-        return np.arange(len(sizes)), np.arange(len(sizes))
-    _, members, roles = np.unique(sizes, axis=0, return_index=True, return_inverse=True)
-    return roles.ravel(), members

@@ -9,9 +9,9 @@ import bnprl_envs
 from bnprl_agents import ControllerSearch, ControllerSearchConfig, controller_value, load, train
 from bnprl_agents.search.best_response import best_response, respond_in_turn
 from bnprl_agents.search.climbing import race
-from bnprl_agents.search.controller_search import shared_roles
 from bnprl_agents.search.memory import MemoryShape, random_tables, remembering_more, shapes
 from bnprl_agents.search.moves import ACT, BRANCH, REDIRECT, apply_moves, list_moves
+from bnprl_agents.search.roles import shared_roles
 from bnprl_agents.search.simulator import simulator_of
 from bnprl_agents.search.stepwise_simulator import StepwiseSimulator
 from bnprl_agents.search.tables import DecisionTables

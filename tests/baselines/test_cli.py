@@ -330,3 +330,19 @@ def test_an_interrupt_says_how_to_go_on(tmp_path: Path, number: int, whom: str) 
     _, shown = process.communicate(timeout=30)
     assert process.returncode == 128 + number
     assert shown == "bnprl: interrupted; the same command resumes\n"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="pipes")
+@pytest.mark.parametrize("given", [["--help"], ["list", "envs"]])
+def test_a_closed_pipe_ends_without_a_word(given: list[str]) -> None:
+    reading, writing = os.pipe()
+    os.close(reading)
+    done = subprocess.run(
+        [sys.executable, "-m", "baselines.cli", *given],
+        cwd=ROOT,
+        stdout=writing,
+        stderr=subprocess.PIPE,
+        check=False,
+    )
+    os.close(writing)
+    assert (done.returncode, done.stderr) == (141, b"")
