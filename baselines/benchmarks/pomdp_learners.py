@@ -16,13 +16,15 @@ import dataclasses
 import sys
 import time
 from collections.abc import Sequence
+from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from tqdm import tqdm
 
-from baselines.benchmarks.run_records import Records, Score
+from baselines.benchmarks.run_records import Records, Run, Score
 from baselines.contenders import contender
 from baselines.environment import EnvironmentSpec
 from baselines.evaluation import evaluate
@@ -139,16 +141,16 @@ def value(agent: Agent, spec: EnvironmentSpec, seed: int, episodes: int) -> floa
     return float(found.returns.mean()) if found.exact is None else found.exact
 
 
-def recorded(records: Records, name: str, env: str, seed: int, shown: bool = False) -> list[Score]:
-    """The scores of a run, from the records if they are there; see `run`."""
-    described = {
+def described(name: str, env: str, seed: int, *, shown: bool = False) -> Run:
+    """A run to the goals of `GOALS`."""
+    description = {
         "agent": name,
         "settings": dataclasses.asdict(contender(name).settings),
         "environment": env,
         "seed": seed,
         "goals": [goal.steps for goal in GOALS[env]],
     }
-    return records.of(described, lambda: run(name, env, seed, shown=shown))
+    return Run(description, partial(run, name, env, seed, shown=shown))
 
 
 HEADER = (
@@ -180,21 +182,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--agents", nargs="+", default=[AGENT], help="names of learners")
     parser.add_argument("--seeds", type=int, default=10, help="runs on each environment")
     parser.add_argument("--environments", nargs="+", choices=list(GOALS), default=list(GOALS))
+    parser.add_argument("--jobs", type=int, default=1, help="runs at a time")
     parser.add_argument("--out", type=Path, help="file of finished runs, which are not run again")
     parser.add_argument("--no-progress", action="store_true", help="draw no progress bars")
     options = parser.parse_args(arguments)
-    if options.seeds < 1:
-        parser.error(f"--seeds: {options.seeds}, must be at least 1")
-    records = Records(options.out)
+    for name in ("seeds", "jobs"):
+        if getattr(options, name) < 1:
+            parser.error(f"--{name}: {getattr(options, name)}, must be at least 1")
+    records, passed, shown = Records(options.out), True, not options.no_progress
+    runs = {
+        (name, env): [described(name, env, seed, shown=shown) for seed in range(options.seeds)]
+        for env in options.environments
+        for name in options.agents
+    }
+    if options.jobs > 1:
+        longest = sorted(runs, key=lambda key: GOALS[key[1]][-1].steps, reverse=True)
+        records.prepare(list(chain(*(runs[key] for key in longest))), options.jobs, shown=shown)
     print(HEADER)
-    passed = True
-    for env in options.environments:
-        for name in options.agents:
-            runs = [
-                recorded(records, name, env, seed, shown=not options.no_progress)
-                for seed in range(options.seeds)
-            ]
-            passed &= report(name, env, runs)
+    for (name, env), seeds in runs.items():
+        passed &= report(name, env, [records.of(seed) for seed in seeds])
     return 0 if passed else 1
 
 

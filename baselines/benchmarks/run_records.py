@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
+
+from joblib import Parallel, delayed
+from tqdm import tqdm
 
 
 class Score(NamedTuple):
@@ -14,6 +17,13 @@ class Score(NamedTuple):
     steps: int
     value: float
     seconds: float
+
+
+class Run(NamedTuple):
+    """What tells a run from all others, and how to make it."""
+
+    description: dict[str, Any]
+    make: Callable[[], list[Score]]
 
 
 class Records:
@@ -48,17 +58,38 @@ class Records:
             except (ValueError, TypeError, KeyError) as error:
                 raise ValueError(f"{path}:{number}: no record of a run") from error
 
-    def of(self, run: dict[str, Any], make: Callable[[], list[Score]]) -> list[Score]:
-        """The scores of a run that is described so, from the file, or else made and kept."""
-        if _key(run) not in self.known:
-            scores = make()
-            self.known[_key(run)] = scores
-            if self.path is not None:
-                line = {"run": run, "scores": [score._asdict() for score in scores]}
-                with self.path.open("a") as file:
-                    file.write(json.dumps(line, allow_nan=False) + "\n")
-        return self.known[_key(run)]
+    def of(self, run: Run) -> list[Score]:
+        """The scores of a run, from the file, or else made and kept."""
+        if _key(run.description) not in self.known:
+            self._keep(run, run.make())
+        return self.known[_key(run.description)]
+
+    def prepare(self, runs: Sequence[Run], jobs: int, *, shown: bool = False) -> None:
+        """Make and keep all missing runs, several at once, each in a process of its own.
+
+        Args:
+            runs: the first begin first.
+            jobs: processes.
+            shown: whether to draw a progress bar.
+        """
+        missing = [run for run in runs if _key(run.description) not in self.known]
+        made = Parallel(n_jobs=jobs, batch_size=1, return_as="generator_unordered")(
+            delayed(_numbered)(number, run.make) for number, run in enumerate(missing)
+        )
+        for number, scores in tqdm(made, total=len(missing), desc="runs", disable=not shown):
+            self._keep(missing[number], scores)
+
+    def _keep(self, run: Run, scores: list[Score]) -> None:
+        self.known[_key(run.description)] = scores
+        if self.path is not None:
+            line = {"run": run.description, "scores": [score._asdict() for score in scores]}
+            with self.path.open("a") as file:
+                file.write(json.dumps(line, allow_nan=False) + "\n")
 
 
-def _key(run: dict[str, Any]) -> str:
-    return json.dumps(run, sort_keys=True)
+def _key(description: dict[str, Any]) -> str:
+    return json.dumps(description, sort_keys=True)
+
+
+def _numbered(number: int, make: Callable[[], list[Score]]) -> tuple[int, list[Score]]:
+    return number, make()

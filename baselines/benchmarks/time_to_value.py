@@ -20,13 +20,15 @@ import dataclasses
 import sys
 import time
 from collections.abc import Sequence
+from functools import partial
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
 from tqdm import tqdm
 
 from baselines.benchmarks.pomdp_learners import AGENT, Goal, run
-from baselines.benchmarks.run_records import Records, Score
+from baselines.benchmarks.run_records import Records, Run, Score
 from baselines.contenders import contender
 from baselines.environment import EnvironmentSpec
 from baselines.evaluation import evaluate
@@ -186,41 +188,47 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seeds", type=int, default=3, help="runs on each environment")
     parser.add_argument("--steps", type=int, help="budget of every run, else each environment's")
     parser.add_argument("--environments", nargs="+", choices=list(BUDGETS), default=list(BUDGETS))
+    parser.add_argument("--jobs", type=int, default=1, help="runs at a time")
     parser.add_argument("--out", type=Path, help="file of finished runs, which are not run again")
     parser.add_argument("--no-progress", action="store_true", help="draw no progress bars")
     options = parser.parse_args(arguments)
-    for name in ("seeds", "steps"):
+    for name in ("seeds", "steps", "jobs"):
         if getattr(options, name) is not None and getattr(options, name) < 1:
             parser.error(f"--{name}: {getattr(options, name)}, must be at least 1")
-    records, passed = Records(options.out), True
-    print(HEADER)
-    for env in options.environments:
-        steps = options.steps or BUDGETS[env]
-        runs = {
+    records, passed, shown = Records(options.out), True, not options.no_progress
+    runs = {
+        env: {
             name: [
-                recorded(records, name, env, seed, steps, shown=not options.no_progress)
+                described(name, env, seed, options.steps or BUDGETS[env], shown=shown)
                 for seed in range(options.seeds)
             ]
             for name in options.agents
         }
-        report(env, runs)
-        if env == RACE and {AGENT, RIVAL} <= set(runs):
-            passed &= race(runs)
+        for env in options.environments
+    }
+    if options.jobs > 1:
+        longest = sorted(runs, key=BUDGETS.__getitem__, reverse=True)
+        every = chain(*(seeds for env in longest for seeds in runs[env].values()))
+        records.prepare(list(every), options.jobs, shown=shown)
+    print(HEADER)
+    for env, contenders in runs.items():
+        curves = {name: [records.of(run) for run in seeds] for name, seeds in contenders.items()}
+        report(env, curves)
+        if env == RACE and {AGENT, RIVAL} <= set(curves):
+            passed &= race(curves)
     return 0 if passed else 1
 
 
-def recorded(
-    records: Records, name: str, env: str, seed: int, steps: int, *, shown: bool
-) -> list[Score]:
-    """The scores of a run, from the records if they are there; see `curve`."""
-    described = {
+def described(name: str, env: str, seed: int, steps: int, *, shown: bool) -> Run:
+    """A run of `curve`."""
+    description = {
         "agent": name,
         "settings": dataclasses.asdict(contender(name).settings),
         "environment": env,
         "seed": seed,
         "steps": steps,
     }
-    return records.of(described, lambda: curve(name, env, seed, steps, shown=shown))
+    return Run(description, partial(curve, name, env, seed, steps, shown=shown))
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 """The benchmark of the learners of POMDPs."""
 
 import json
+from functools import partial
 
 import pytest
 
@@ -10,13 +11,13 @@ from baselines.benchmarks.pomdp_learners import (
     MACHINE,
     PARCELS,
     Goal,
+    described,
     main,
-    recorded,
     report,
     run,
     spec_of,
 )
-from baselines.benchmarks.run_records import Records, Score
+from baselines.benchmarks.run_records import Records, Run, Score
 from bnprl_envs.memoryless import memoryless_joint_policy
 from bnprl_envs.stochastic_memoryless import stochastic_memoryless_policy
 
@@ -88,11 +89,25 @@ def test_finished_runs_are_not_run_again_and_a_torn_line_is(runs, tmp_path, caps
 
 def test_a_run_to_other_goals_is_another(runs, monkeypatch, tmp_path):
     path = tmp_path / "records.jsonl"
-    recorded(Records(path), "actor-critic", MAZE, 0)
+    Records(path).of(described("actor-critic", MAZE, 0))
     monkeypatch.setitem(pomdp_learners.GOALS, MAZE, (Goal(20, 0.55),))
-    recorded(Records(path), "actor-critic", MAZE, 0)
-    recorded(Records(path), "actor-critic", MAZE, 0)
+    Records(path).of(described("actor-critic", MAZE, 0))
+    Records(path).of(described("actor-critic", MAZE, 0))
     assert len(runs) == 2
+
+
+def test_several_processes_make_the_same_records(tmp_path):
+    runs = [Run({"seed": seed}, partial(squares, seed)) for seed in range(5)]
+    together, alone = Records(tmp_path / "together.jsonl"), Records(None)
+    together.of(runs[3])
+    together.prepare(runs, jobs=2)
+    assert [together.of(run) for run in runs] == [alone.of(run) for run in runs]
+    assert Records(tmp_path / "together.jsonl").known == together.known
+    assert len((tmp_path / "together.jsonl").read_text().splitlines()) == 5
+
+
+def squares(seed: int) -> list[Score]:
+    return [Score(seed, seed**2, 0.5)]
 
 
 def test_a_file_of_something_else_is_refused(tmp_path):
