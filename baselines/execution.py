@@ -20,7 +20,7 @@ import numpy as np
 from baselines.evaluation import evaluate
 from baselines.experiment import Experiment
 from baselines.learners import Learner, build_learner
-from baselines.progress_bar import progress_bar
+from baselines.progress_bar import POLL_SECONDS, note, progress_bar
 from baselines.records import Record, Records, RunFiles, RunLog, open_log
 from baselines.study import read_runs
 from baselines.tensorboard import Write, scalar_writer
@@ -83,6 +83,8 @@ def execute(
     runs = [run for run in every if not _finished(run)]
     if not runs:
         return []
+    for files in found:  # a killed command's notes
+        files.progress.unlink(missing_ok=True)
     with progress_bar(experiment, tuple(found), shown=progress):
         done = workers.map(_attempt, runs, _finished)
     return [run.files for run, good in zip(runs, done, strict=True) if good is False]
@@ -156,7 +158,10 @@ def run_one(run: Run) -> None:
         if entry.learner.family != "sb3":
             _warm_up(build())
         with scalar_writer(logs) as board:
-            _Course(run, build(logs), log, board).follow()
+            try:
+                _Course(run, build(logs), log, board).follow()
+            finally:
+                files.progress.unlink(missing_ok=True)
 
 
 def _warm_up(learner: Learner) -> None:
@@ -175,6 +180,7 @@ class _Course:
         self._board = board
         self._train_seconds = 0.0
         self._eval_seconds = 0.0
+        self._noted = -math.inf
         points = run.experiment.eval_points
         _, sequence = run.experiment.run_seeds(run.files.contender, run.files.seed)
         self._seeds = [int(seed) for seed in sequence.generate_state(points)]
@@ -188,6 +194,7 @@ class _Course:
         started = time.perf_counter()
         for progress in self._learner.learn(episodes=experiment.episodes, steps=experiment.steps):
             self._train_seconds += time.perf_counter() - started
+            self._note(progress)
             metrics = progress.metrics or metrics
             if self._run.experiment.entry(self._run.files.contender).learner.family != "sb3":
                 self._board("training", _finite(progress.metrics), progress.steps)
@@ -199,6 +206,12 @@ class _Course:
         self._train_seconds += time.perf_counter() - started
         self._save()
         self._measure(progress, metrics, points - 1, final=True)
+
+    def _note(self, progress: Progress) -> None:
+        """Tell the progress bar how far the run is, if it was told long enough ago."""
+        if time.monotonic() - self._noted >= POLL_SECONDS:
+            note(self._run.files, int(getattr(progress, self._run.experiment.unit)))
+            self._noted = time.monotonic()
 
     def _measure(
         self, progress: Progress, metrics: dict[str, float], point: int, final: bool = False

@@ -112,6 +112,11 @@ class RunFiles:
         """The traceback of a run that failed."""
         return self._stem.with_name(f"{self.seed}.error.txt")
 
+    @property
+    def progress(self) -> Path:
+        """How much of its budget the run has used, between two of its lines; gone at its end."""
+        return self._stem.with_name(f".{self.seed}.progress")
+
     def policy(self, suffix: str) -> Path:
         """The policy learned; the suffix says by which library."""
         return self._stem.with_name(f"{self.seed}.policy{suffix}")

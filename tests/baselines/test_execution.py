@@ -13,10 +13,11 @@ from baselines.contenders import MissingExtraError
 from baselines.environment import EnvironmentSpec
 from baselines.execution import execute
 from baselines.experiment import Entry, Experiment, configured_entries
+from baselines.progress_bar import STARTING, budget_used, progress_bar
 from baselines.records import RecordError, RunFiles
 from baselines.study import load_study, open_study
 from baselines.workers import Workers
-from tests.baselines.fakes import FakeSettings, experiment, install
+from tests.baselines.fakes import FakeSettings, experiment, fake_evaluate, install
 
 
 @pytest.fixture(autouse=True)
@@ -248,6 +249,35 @@ def test_the_bar_follows_the_records(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert "200/200" in shown
     assert run(tmp_path, experiment()) == []
     assert capsys.readouterr().err == ""
+
+
+def test_the_bar_moves_between_evaluations(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    chosen, seen = experiment(seeds=1), []
+    files = RunFiles(tmp_path, "fake", 0)
+
+    def look(policy: Any, *arguments: Any, **options: Any) -> evaluation.Evaluation:
+        seen.append((budget_used(chosen, files), len(files.read().lines)))
+        return fake_evaluate(policy, *arguments, **options)
+
+    files.progress.parent.mkdir(parents=True)
+    files.progress.write_text("77")  # of a command that was killed
+    monkeypatch.setattr("baselines.execution.evaluate", look)
+    monkeypatch.setattr("baselines.execution.POLL_SECONDS", 0.0)
+    assert run(tmp_path, chosen) == []
+    # the last update is no end before it is evaluated
+    assert seen == [(30, 0), (50, 1), (80, 2), (99, 3)]
+    assert budget_used(chosen, files) == 100
+    assert not files.progress.exists()
+
+
+def test_the_bar_says_that_a_run_is_starting(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with progress_bar(experiment(), (RunFiles(tmp_path, "fake", 0),), shown=True):
+        pass
+    first, *_, last = capsys.readouterr().err.strip().split("\r")
+    assert first.startswith(STARTING)
+    assert not last.startswith(STARTING)
 
 
 def test_tensorboard_gets_evaluations_and_metrics(
