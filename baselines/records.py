@@ -130,7 +130,7 @@ class RunFiles:
         """Read the lines; a run that has not begun has none.
 
         Raises:
-            RecordError: the file is damaged elsewhere than in its last line.
+            RecordError: a complete line is damaged.
         """
         if not self.records.exists():
             return Records((), 0, False)
@@ -180,6 +180,9 @@ def is_being_written(path: Path) -> bool:
 def read_records(path: Path) -> Records:
     """Read a file of records without a torn last line; `Records.torn` tells of one.
 
+    Torn is what has no line end, as a kill in the middle of a line leaves it. A line that has one
+    was written by someone else if it is no record, and is not dropped in silence.
+
     Raises:
         RecordError: a line is too long, is not a record, or holds a number that is not finite.
         OSError: the file cannot be read.
@@ -191,10 +194,9 @@ def read_records(path: Path) -> Records:
             where = f"{path}:{number}"
             if len(text) > LINE_LIMIT:
                 raise RecordError(f"{where}: line longer than {LINE_LIMIT} bytes")
-            value = parse_json(text) if text.endswith(b"\n") else None
-            if value is None and not file.read(1):
+            if not text.endswith(b"\n"):
                 return Records(tuple(lines), size, True)
-            lines.append(_record(value, where))
+            lines.append(_record(parse_json(text), where))
             size += len(text)
     return Records(tuple(lines), size, False)
 

@@ -183,7 +183,7 @@ def read_runs(
         repair: cut torn lines off the files too.
 
     Raises:
-        RecordError: a file is damaged elsewhere than in its last line.
+        RecordError: a complete line of a file is damaged.
     """
     runs = {}
     for entry in experiment.entries:

@@ -29,7 +29,7 @@ def test_records_come_back_as_they_were_appended(tmp_path: Path) -> None:
     assert read_records(path).lines == (last,)
 
 
-@pytest.mark.parametrize("tail", [b'{"contender": "fa', b"\0\0\0\n", b'{"a": NaN}\n', b"{}"])
+@pytest.mark.parametrize("tail", [b'{"contender": "fa', b"\0\0\0", b'{"a": NaN}', b"{}"])
 def test_a_torn_last_line_is_dropped(tmp_path: Path, tail: bytes) -> None:
     path = tmp_path / "0.jsonl"
     good = record(final=False).line()
@@ -63,6 +63,7 @@ def damaged(key: str, value: Any) -> bytes:
     [
         (b"not json\n", "not a record"),
         (b"[1]\n", "not a record"),
+        (b"\0\0\0\n", "not a record"),
         (b"[" * 100_000 + b"\n", "not a record"),
         (b'"' + b"x" * LINE_LIMIT + b'"\n', "longer than"),
         (damaged("steps", None), "key 'steps' is missing"),
@@ -78,13 +79,14 @@ def damaged(key: str, value: Any) -> bytes:
         (damaged("metrics", {"a": "b"}), "metrics must be an object of finite numbers"),
     ],
 )
-def test_damage_before_the_last_line_is_named(tmp_path: Path, line: bytes, reason: str) -> None:
+def test_a_damaged_line_is_named_wherever_it_is(tmp_path: Path, line: bytes, reason: str) -> None:
     path = tmp_path / "0.jsonl"
-    path.write_bytes(record(final=False).line() + line + record().line())
-    with pytest.raises(RecordError) as caught:
-        read_records(path)
-    assert str(caught.value).startswith(f"{path}:2: ")
-    assert reason in str(caught.value)
+    for after in (record().line(), b""):
+        path.write_bytes(record(final=False).line() + line + after)
+        with pytest.raises(RecordError) as caught:
+            read_records(path)
+        assert str(caught.value).startswith(f"{path}:2: ")
+        assert reason in str(caught.value)
 
 
 def test_a_record_of_another_run_is_refused(tmp_path: Path) -> None:
