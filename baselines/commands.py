@@ -16,7 +16,7 @@ from baselines.contenders import CONTENDERS, EXTRA_MODULES, MissingExtraError
 from baselines.environment import EnvironmentSpec
 from baselines.experiment import Entry, Experiment, configured_entries
 from baselines.files import FolderInUseError, folder_lock
-from baselines.learners import build_learner
+from baselines.learners import AgentLearner, build_learner
 from baselines.records import RecordError, RunFiles
 from baselines.report import finished_runs, print_table, table, write_report
 from baselines.sb3_checks import check_served
@@ -192,9 +192,10 @@ def conduct(
                 tensorboard=tensorboard,
                 progress=progress,
             )
-        _report(folder)
+        code = _name_failures(failed)
         _name_idle(experiment, folder)
-    return _name_failures(failed)
+        _report(folder)
+    return code
 
 
 @contextlib.contextmanager
@@ -218,18 +219,28 @@ def _name_failures(failed: Sequence[RunFiles]) -> int:
 
 
 def _name_idle(experiment: Experiment, folder: Path) -> None:
-    """Warn of contenders for which the budget held no update."""
+    """Warn of contenders for which the budget held no update, and say which one would."""
     for name, runs in finished_runs(read_runs(experiment, folder)).items():
         idle = sum(not run[-1].metrics for run in runs)
         if idle:
             _log.warning(
-                "%s learned nothing in %d of %d runs: no update fits in a budget of %s %s",
+                "%s learned nothing in %d of %d runs: no update fits in a budget of %s %s%s",
                 name,
                 idle,
                 len(runs),
                 f"{experiment.budget:,}",
                 experiment.unit,
+                _enough(experiment, experiment.entry(name)),
             )
+
+
+def _enough(experiment: Experiment, entry: Entry) -> str:
+    """Return words on a budget in which an update fits, none where nobody knows it."""
+    learner = build_learner(entry.learner, experiment.environment, entry.build_settings(), seed=0)
+    horizon = experiment.environment.horizon if experiment.steps is not None else 1
+    if not isinstance(learner, AgentLearner) or horizon is None:
+        return ""
+    return f"; {horizon * learner.first_update_episodes():,} are enough"
 
 
 def report(options: Report) -> int:

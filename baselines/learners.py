@@ -90,6 +90,10 @@ class AgentLearner:
         """
         return train(self.agent, self._env, seed=self._env_seed, episodes=episodes, steps=steps)
 
+    def first_update_episodes(self) -> int:
+        """Return in how many whole episodes a first update surely fits."""
+        return self.agent.first_update_episodes(self._env)
+
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the agent to a policy file, from which it could go on learning."""
         self.agent.save(path)

@@ -131,6 +131,10 @@ class Agent(abc.ABC):
         check_batch(env)
         return step_copies(self, env, budget, seed)
 
+    def first_update_episodes(self, env: Any) -> int:
+        """Return in how many whole episodes a first update surely fits: one in every copy."""
+        return int(getattr(env, "num_envs", 1))
+
     @abc.abstractmethod
     def predict(
         self,

@@ -13,7 +13,7 @@ from bnprl_agents.controllers.learner import ControllerAgent
 from bnprl_agents.episodes import BoolArray, EpisodeBatch
 from bnprl_agents.policy_files import Arrays
 from bnprl_agents.search.best_response import respond_in_turn
-from bnprl_agents.search.climbing import Climber
+from bnprl_agents.search.climbing import BATCH, Climber
 from bnprl_agents.search.leaderboard import Leaderboard
 from bnprl_agents.search.memory import MemoryShape, random_tables, remembering_more, shapes
 from bnprl_agents.search.moves import ACT, BRANCH, REDIRECT, apply_moves, list_moves
@@ -32,6 +32,8 @@ from bnprl_agents.training import Budget, Progress
 
 SHARES = {"explore": 1, "walk": 3, "refine": 1, "polish": 1}
 """Parts of the simulated steps that each activity gets."""
+LOOKS = 256
+"""Random teams by which the search looks around before it begins."""
 
 
 class ControllerSearch(ControllerAgent):
@@ -124,6 +126,11 @@ class ControllerSearch(ControllerAgent):
         except BudgetSpentError:
             yield Progress(simulator.episodes, simulator.steps)
 
+    def first_update_episodes(self, env: Any) -> int:
+        """Return those of looking around, a heat of all moves on all seeds, and two judgements."""
+        seeds = LOOKS + BATCH * self.config.explore_seeds + 2 * self.config.judge_seeds
+        return seeds * simulator_of(env, self.discount).copies
+
     def improve(self, simulator: TeamSimulator, steps: int) -> Metrics:
         """Spend some steps on the activity that has had the fewest, and adopt the best team.
 
@@ -175,7 +182,7 @@ class ControllerSearch(ControllerAgent):
     def _look_around(self, simulator: TeamSimulator) -> None:
         """Note which observations random teams meet after their first action."""
         n_roles, n_nodes = len(self.role_actions), self.config.nodes
-        for _ in range(256):
+        for _ in range(LOOKS):
             action = self.rng.integers(self.role_actions[:, None], size=(n_roles, n_nodes))
             shape = (n_roles, n_nodes + 1, self.seen.shape[1])
             successor = self.rng.integers(n_nodes, size=shape)

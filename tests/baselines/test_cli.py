@@ -20,7 +20,7 @@ from baselines.files import folder_lock
 from baselines.records import RunFiles, read_records
 from baselines.study import open_study
 from bnprl_agents import RandomAgent
-from tests.baselines.fakes import experiment
+from tests.baselines.fakes import experiment, install
 from tests.baselines.interruption import ROOT, command, finish, kill_after, lines, summary
 
 HALLWAY = "bnprl/Hallway-v0"
@@ -222,10 +222,39 @@ def test_a_budget_without_an_episode_is_named(
     (warning,) = caplog.messages
     assert re.fullmatch(
         r"online-em learned nothing in [12] of 2 runs: "
-        r"no update fits in a budget of 1 steps",
+        r"no update fits in a budget of 1 steps; 4,016 are enough",
         warning,
     )
     assert "steps used by online-em</dt>" in (out / "report.html").read_text()
+
+
+def test_what_the_search_is_told_to_be_enough_is(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+) -> None:
+    settings = ["--explore-seeds", "16", "--judge-seeds", "32"]
+    train = ["train", "bnprl/Tiger-v0", "--agent", "controller-search", *settings]
+    small = ["--no-progress", "--eval-points", "1", "--eval-episodes", "5"]
+    assert main([*train, *small, "--episodes", "2", "--out", str(tmp_path / "few")]) == 0
+    (warning,) = caplog.messages
+    enough = warning.rpartition("; ")[2].removesuffix(" are enough")
+    assert enough == "832"
+    assert main([*train, *small, "--episodes", enough, "--out", str(tmp_path / "enough")]) == 0
+    assert caplog.messages == [warning]
+    capsys.readouterr()
+
+
+def test_errors_come_before_the_table_and_the_report(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    install(monkeypatch)
+    monkeypatch.setattr("baselines.commands.check_sb3", lambda *_: None)
+    monkeypatch.setattr(sys, "stderr", sys.stdout)
+    arguments = ["compare", HALLWAY, "--agents", "fake", "--set", "fake.fail=true"]
+    assert main([*arguments, *SMALL, "--seeds", "2", "--jobs", "1", "--out", str(tmp_path)]) == 1
+    first, second, *_, last = capsys.readouterr().out.splitlines()
+    assert "failed: fake/0, fake/1 (RuntimeError: the fake fails)" in first
+    assert second.startswith("agent  ")
+    assert last == f"report: {tmp_path / 'report.html'}"
 
 
 def test_folders_and_files_that_are_not_what_they_should_be(
