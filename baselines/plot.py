@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import gymnasium as gym
 
 from baselines.environment import EnvironmentSpec
 from baselines.files import write_atomic
@@ -53,12 +57,25 @@ def _values(policy: ValueAgent, environment: EnvironmentSpec | None) -> bytes:
     from baselines.q_pictures import draw_values  # imports matplotlib
 
     title = f"{type(policy).__name__} after {policy.steps:,} steps"
+    axes, actions = ((), ()) if environment is None else _names(environment)
     id = None if environment is None else environment.id
     return draw_values(
         policy,
+        axes=axes,
+        actions=actions,
         compass=id in COMPASS_WORLDS,
         title=title if id is None else f"{id}: {title}",
     )
+
+
+def _names(environment: EnvironmentSpec) -> tuple[Sequence[str], Sequence[str]]:
+    """Return what an environment calls the axes of its observations, and its actions."""
+    model = environment.model()
+    if model is not None:
+        return (), model.names.actions[0]
+    with contextlib.closing(gym.make(environment.id, **environment.kwargs)) as env:
+        made: Any = env.unwrapped
+        return getattr(made, "state_names", ()), getattr(made, "action_names", ())
 
 
 def _controllers(policy: Any, environment: EnvironmentSpec | None, file: Path) -> bytes:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -68,11 +69,15 @@ class Plane:
         return x, y
 
 
-def draw_values(agent: ValueAgent, *, compass: bool, title: str) -> bytes:
+def draw_values(
+    agent: ValueAgent, *, axes: Sequence[str], actions: Sequence[str], compass: bool, title: str
+) -> bytes:
     """Return a picture (PNG) of the values, their uncertainty and the greedy policy.
 
     Args:
         agent: what is drawn.
+        axes: names of the two axes; (): numbers, of a grid column and row.
+        actions: names; (): numbers.
         compass: whether its four actions are moves to the north, south, east and west, which are
             drawn as arrows; else actions are colours.
         title: above the picture.
@@ -96,10 +101,10 @@ def draw_values(agent: ValueAgent, *, compass: bool, title: str) -> bytes:
         label = "standard deviation of Q(s, a) at the greedy action"
         _draw_map(figure, every[1], plane, spread.reshape(shape), label, colours="magma")
         for action, basis in enumerate(agent.basis_points()):
-            place = plane.placed(basis[:, :2])
-            for axes in every[:2]:
-                axes.plot(
-                    *place,
+            where = plane.placed(basis[:, :2])
+            for place in every[:2]:
+                place.plot(
+                    *where,
                     ".",
                     scalex=False,
                     scaley=False,
@@ -108,10 +113,14 @@ def draw_values(agent: ValueAgent, *, compass: bool, title: str) -> bytes:
                     mew=0.4,
                     color=COLOURS[action % len(COLOURS)],
                 )
-    _draw_policy(every[-1], plane, agent, compass)
-    for axes in every:
-        dress(axes, INK, PAPER)
-        axes.grid(visible=False)
+    names = actions or [f"action {a}" for a in range(agent.n_actions)]
+    _draw_policy(every[-1], plane, agent, names, compass)
+    unnamed = ("column", "row") if plane.is_grid else ("observation 0", "observation 1")
+    across, upwards = axes or unnamed
+    for place in every:
+        place.set(xlabel=across, ylabel=upwards)
+        dress(place, INK, PAPER)
+        place.grid(visible=False)
     figure.suptitle(title, color=INK, fontsize=13)
     picture = io.BytesIO()
     figure.savefig(picture, format="png", dpi=120, metadata={"Software": None})
@@ -133,7 +142,9 @@ def _draw_map(
     axes.set_title(label, color=INK, fontsize=11)
 
 
-def _draw_policy(axes: Axes, plane: Plane, agent: ValueAgent, compass: bool) -> None:
+def _draw_policy(
+    axes: Axes, plane: Plane, agent: ValueAgent, names: Sequence[str], compass: bool
+) -> None:
     points, x, y = plane.mesh(ARROWS if compass else RESOLUTION)
     best = agent.values(points).argmax(axis=1)
     axes.set_title("greedy policy", color=INK, fontsize=11)
@@ -154,5 +165,5 @@ def _draw_policy(axes: Axes, plane: Plane, agent: ValueAgent, compass: bool) -> 
         vmin=-0.5,
         vmax=agent.n_actions - 0.5,
     )
-    handles = [Patch(color=colours(a), label=f"action {a}") for a in range(agent.n_actions)]
+    handles = [Patch(color=colours(a), label=name) for a, name in enumerate(names)]
     axes.legend(handles=handles, frameon=True, fontsize=9, loc="upper right")

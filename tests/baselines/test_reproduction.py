@@ -2,6 +2,7 @@
 
 import json
 
+import gymnasium as gym
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
@@ -19,6 +20,7 @@ from baselines.reproduction import (
     Computation,
     Reproduction,
 )
+from bnprl_agents import LinearQ
 from bnprl_envs.registry import Reference
 
 TINY = Reproduction(
@@ -207,3 +209,19 @@ def test_plot_draws_values_and_refuses_what_has_none(tmp_path, capsys):
     other = tmp_path / agent / "runs" / agent / "0.policy.npz"
     assert cli.main(["plot", str(other)]) == 2
     assert "holds neither action values nor controllers" in capsys.readouterr().err
+
+
+def test_plot_names_axes_and_actions_as_the_environment_does(tmp_path, monkeypatch):
+    env = gym.make("bnprl/InvertedPendulum-v0")
+    policy = tmp_path / "policy.npz"
+    LinearQ(env.observation_space, env.action_space, discount=0.95, seed=0).save(policy)
+    drawn = []
+    monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: drawn.extend(figure.axes))
+    assert cli.main(["plot", str(policy), "--env", "bnprl/InvertedPendulum-v0"]) == 0
+    values, greedy, _ = drawn
+    assert {axes.get_xlabel() for axes in (values, greedy)} == {"angle"}
+    assert {axes.get_ylabel() for axes in (values, greedy)} == {"velocity"}
+    words = [text.get_text() for text in greedy.get_legend().get_texts()]
+    assert words == ["push left", "no push", "push right"]
+    assert cli.main(["plot", str(policy)]) == 0  # the environment is not known
+    assert drawn[3].get_xlabel() == "observation 0"
