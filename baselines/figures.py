@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
 from matplotlib.ticker import LogLocator, NullFormatter, SymmetricalLogLocator
 
 from baselines.curves import COLOURS, MARKERS, STYLES, dress, thousands
@@ -46,7 +47,7 @@ def draw(
     handles: dict[str, Any] = {}
     for axes, panel, found, table in zip(every, reproduction.panels, lines, tables, strict=False):
         handles |= draw_panel(axes, panel, found, labels)
-        _draw_references(axes, [row for row in table["rows"] if row["source"] is not None])
+        draw_references(axes, [row for row in table["rows"] if row["source"] is not None])
     figure.legend(
         handles.values(),
         handles,
@@ -65,8 +66,11 @@ def _legend_width(labels: Sequence[str]) -> float:
     return 1.0 + 0.09 * max(map(len, labels), default=0)
 
 
-def _draw_references(axes: Axes, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Draw horizontal lines with their names, those far from the curves left out."""
+def draw_references(axes: Axes, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Draw horizontal lines with their names, those far from the curves left out.
+
+    Lines too close for a name each have theirs together above the highest.
+    """
     low, high = axes.get_ylim()
     room = 0.5 * (high - low)
     named: dict[float, str] = {}
@@ -75,10 +79,8 @@ def _draw_references(axes: Axes, rows: Sequence[Mapping[str, Any]]) -> None:
         if low - room <= value <= high + room and (value > 0.0 or axes.get_yscale() != "log"):
             axes.axhline(value, color=INK, linewidth=0.9, linestyle=(0, (1, 2)), alpha=0.75)
             near = max(named, default=-np.inf)
-            if value - near < 0.045 * (high - low):  # one label for lines too close for two
-                named[near] += f", {row['agent']}"
-            else:
-                named[value] = row["agent"]
+            together = [named.pop(near)] if value - near < 0.045 * (high - low) else []
+            named[value] = ", ".join([*together, row["agent"]])
     for value, text in named.items():
         axes.annotate(
             text,
@@ -87,6 +89,7 @@ def _draw_references(axes: Axes, rows: Sequence[Mapping[str, Any]]) -> None:
             va="bottom",
             fontsize=6.5,
             color=INK,
+            path_effects=[withStroke(linewidth=2.0, foreground=PAPER)],
         )
 
 

@@ -166,7 +166,7 @@ def panel_lines(panel: Comparison | Computation, folder: Path, quick: bool) -> L
         for contender, runs in finished_runs(read_runs(experiment, folder / name)).items():
             curve = _curves(runs, panel.x, panel.measure) if runs else None
             if curve is not None:
-                found[contender] = curve
+                found[panel.labels.get(contender, contender)] = curve
     return found
 
 

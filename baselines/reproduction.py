@@ -81,6 +81,7 @@ class Comparison:
         x: what the horizontal axis counts.
         logarithmic: the axis of the measure.
         logarithmic_x: the horizontal axis.
+        labels: contender -> what the figure and the tables call it, if not by its name.
     """
 
     name: str
@@ -95,6 +96,7 @@ class Comparison:
     x: Literal["steps", "episodes"] = "steps"
     logarithmic: bool = False
     logarithmic_x: bool = False
+    labels: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         check_name(self.name)

@@ -18,24 +18,28 @@ def page(title: str, summaries: Mapping[Path, Mapping[str, Any]]) -> str:
         title: its heading.
         summaries: folder of a reproduction, where its figure is -> what its summary.json says.
     """
-    sections = [_section(folder, summary) for folder, summary in summaries.items()]
+    sections = [
+        _section(folder, summary, headed=len(summaries) > 1)
+        for folder, summary in summaries.items()
+    ]
     listing = "".join(
-        f'<li><a href="#{escape(summary["experiment"])}">{escape(summary["experiment"])}</a>: '
-        f"{escape(summary['title'])}</li>"
+        f'<li><a href="#{escape(summary["experiment"])}">{escape(summary["title"])}</a></li>'
         for summary in summaries.values()
     )
     contents = f"<ul>{listing}</ul>\n" if len(summaries) > 1 else ""
     return web_page.document(title, contents + "\n".join(sections))
 
 
-def _section(folder: Path, summary: Mapping[str, Any]) -> str:
+def _section(folder: Path, summary: Mapping[str, Any], *, headed: bool) -> str:
     name = escape(summary["experiment"])
-    size = " (quick size: far fewer seeds and steps)" if summary["quick"] else ""
+    title = escape(summary["title"])
+    heading = f"<h2>{title}</h2>" if headed else ""
+    size = "<p>Quick size: far fewer seeds and steps.</p>" if summary["quick"] else ""
     picture = web_page.data((folder / "figure.png").read_bytes())
-    notes = "\n".join(f"<p>{escape(note)}</p>" for note in summary["notes"])
+    notes = "\n".join(f"<p>{web_page.prose(note)}</p>" for note in summary["notes"])
     return f"""<section id="{name}">
-<h2>{name}: {escape(summary["title"])}{size}</h2>
-<img class="paper" src="{picture}" alt="{escape(summary["title"])}; its numbers are in the tables">
+{heading}{size}
+<img class="paper" src="{picture}" alt="{title}; its numbers are in the tables">
 {notes}
 {_tables(name, summary)}
 <p class="faint">Italic: numbers of the source and of the registry. Intervals are 95% bootstrap

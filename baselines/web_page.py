@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+import re
 from collections.abc import Mapping, Sequence
 from html import escape
 from string import Template
@@ -42,6 +43,7 @@ img.paper { background: #ffffff; margin-bottom: .8rem; }
 img { width: 100%; height: auto; display: block; border-radius: 6px; }
 pre { background: var(--panel); border: 1px solid var(--line); border-radius: 6px;
   padding: .8rem 1rem; overflow-x: auto; font-size: .875rem; }
+code { background: var(--panel); font-size: .9em; overflow-wrap: anywhere; }
 details { border: 1px solid var(--line); border-radius: 6px; margin: 0 0 .6rem;
   padding: .5rem .9rem; background: var(--panel); }
 summary { cursor: pointer; font-weight: 600; }
@@ -112,6 +114,11 @@ def table(
 def _row(cells: Sequence[str], reference: bool) -> str:
     kind = ' class="reference"' if reference else ""
     return f"<tr{kind}>{''.join(f'<td>{escape(cell)}</td>' for cell in cells)}</tr>"
+
+
+def prose(text: str) -> str:
+    """Return text as HTML, with code where it has that between backticks."""
+    return re.sub("`([^`]+)`", r"<code>\1</code>", escape(text))
 
 
 def data(picture: bytes) -> str:

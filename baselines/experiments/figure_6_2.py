@@ -13,6 +13,7 @@ K = 500
 """Episodes of an iteration."""
 REWARD = {"weighting": "reward", "reward_shift": 11.0}
 """Algorithm 5 on rewards above 0."""
+LABELS = {"by-return": "weights by return", "by-reward": "weights by reward"}
 EXPERIMENT = Experiment(
     EnvironmentSpec("bnprl/MarsRovers-v0"),
     (
@@ -35,6 +36,7 @@ def _panel(title: str, measure: Measure) -> Comparison:
         quick={"episodes": 6 * K, "seeds": 1, "eval_episodes": 20, "eval_points": 3},
         measure=measure,
         x="episodes",
+        labels=LABELS,
     )
 
 
@@ -49,10 +51,10 @@ REPRODUCTION = Reproduction(
         "Every iteration has 500 fresh episodes of 100 steps under the policy of the one before, "
         "so the bound is of other data each time; on fixed data it never falls, "
         "which `pytest tests/agents/test_stick_breaking.py` shows.",
-        "by-return has the defaults, by-reward is Algorithm 5 on rewards shifted by 11; their "
-        "bounds are of different evidence. Rows that no episode has met are left out of them: they "
-        "begin far from the prior, and their divergence would drown the rest; so the bound falls "
-        "where rows are met for the first time.",
+        "Weights by return are the defaults, weights by reward are Algorithm 5 on rewards shifted "
+        "by 11; their bounds are of different evidence. Rows that no episode has met are left out "
+        "of them: they begin far from the prior, and their divergence would drown the rest; so the "
+        "bound falls where rows are met for the first time.",
         "The source gives this figure as a picture, without numbers; its table has 20.62, which "
         "table-6.2 reaches with several starts.",
     ),

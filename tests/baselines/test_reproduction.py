@@ -11,7 +11,7 @@ from baselines import cli, reproduction
 from baselines.environment import EnvironmentSpec
 from baselines.experiment import Entry, Experiment
 from baselines.experiments.figure_3_3 import largest_values
-from baselines.figures import draw_panel
+from baselines.figures import draw_panel, draw_references
 from baselines.reproduction import (
     EXACT,
     LENGTH,
@@ -37,6 +37,7 @@ TINY = Reproduction(
             ),
             quick={"steps": 300, "seeds": 2, "eval_points": 3, "eval_episodes": 5},
             measure=EXACT,
+            labels={"tabular": "a table"},
         ),
         Comparison(
             "grid",
@@ -102,7 +103,7 @@ def test_panels_are_run_resumed_and_reported(tmp_path, monkeypatch, capsys):
     assert json.loads((tmp_path / "summary.json").read_text()) == first
     grid, same, line = first["panels"]
     agents = [row["agent"] for row in grid["rows"]]
-    assert agents[:2] == ["tabular", "linear"]
+    assert agents[:2] == ["a table", "linear"]
     assert "random" in agents
     assert 0.0 <= grid["rows"][0]["mean"] <= 0.4379
     assert grid["rows"][0]["seeds"] == 2
@@ -118,7 +119,7 @@ def test_panels_are_run_resumed_and_reported(tmp_path, monkeypatch, capsys):
 
 
 def test_all_experiments_are_one_page(tmp_path, monkeypatch):
-    line = Reproduction("<line>", TINY.panels[2:], notes=("1 < 2",))
+    line = Reproduction("<line>", TINY.panels[2:], notes=("1 < 2, as `a < b` says",))
     both = Reproduction("lines in a table", line.panels, shape="table")
     monkeypatch.setattr(
         "baselines.reproduce.names", lambda: {"figure-1.1": None, "table-1.2": None}
@@ -128,9 +129,11 @@ def test_all_experiments_are_one_page(tmp_path, monkeypatch):
     page = (tmp_path / "report.html").read_text()
     assert page.count("<section") == 2
     assert "&lt;line&gt;" in page
-    assert "1 &lt; 2" in page
+    assert page.count("<h2>&lt;line&gt;</h2>") == 1
+    assert "1 &lt; 2, as <code>a &lt; b</code> says" in page
     assert "bnprl reproduce figure-1.1 --quick" in page
-    assert (tmp_path / "table-1.2" / "report.html").is_file()
+    alone = (tmp_path / "table-1.2" / "report.html").read_text()
+    assert alone.count(">lines in a table<") == 2  # title and heading
     for wrong in ([], ["figure-1.1", "--all"]):
         assert cli.main(["reproduce", *wrong]) == 2
 
@@ -178,6 +181,14 @@ def test_a_logarithmic_axis_takes_negative_numbers(last, scale):
     assert axes.get_yscale() == scale
     low, high = axes.get_ylim()
     assert low <= last <= high
+
+
+def test_references_too_close_for_a_name_each_are_named_above_the_highest():
+    axes = Figure().subplots()
+    axes.set_ylim(0.0, 100.0)
+    rows = [{"agent": name, "mean": mean} for name, mean in (("c", 53), ("a", 10), ("b", 50))]
+    draw_references(axes, rows)
+    assert {text.get_text(): text.xy[1] for text in axes.texts} == {"a": 10.0, "b, c": 53.0}
 
 
 def test_the_star_diverges_on_fixed_bases_only():
