@@ -42,7 +42,10 @@ def aggregate(options: Aggregate) -> int:
     environments = summary["environments"]
     print(f"scores (0 random, 1 best known) over {len(environments)}: {', '.join(environments)}")
     print_table([HEADER, *(_cells(row) for row in summary["rows"])])
-    print_table(pair_table(summary["pairs"]))
+    if summary["pairs"]:
+        print_table(pair_table(summary["pairs"]))
+    else:
+        print("who beats whom takes two agents that have finished runs in every folder")
     print(f"performance profiles: {options.out / 'profiles.png'}")
     return 0
 

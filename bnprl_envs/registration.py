@@ -7,7 +7,7 @@ import importlib
 from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Literal, cast
+from typing import Any, Literal, NoReturn, cast
 
 import gymnasium as gym
 import pettingzoo
@@ -112,6 +112,9 @@ def register(row: Entry) -> None:
 
 
 def _register_parallel(row: Entry) -> None:
+    if row.id not in gym.registry:
+        refusal = "bnprl_envs.registration:refuse_team"
+        gym.register(row.id, entry_point=refusal, kwargs={"team": row.id})
     if row.id in pettingzoo.parallel_registry:
         return
     tabular = row.kind == "parallel-tabular"
@@ -121,6 +124,18 @@ def _register_parallel(row: Entry) -> None:
         "bnprl_envs.tabular_parallel:TabularParallelEnv" if tabular else row.factory,
         max_cycles=row.horizon,
         kwargs={"model": row.id} if tabular else {},
+    )
+
+
+def refuse_team(team: str, **_: Any) -> NoReturn:
+    """Tell who asks Gymnasium for a team where it is to be had.
+
+    Raises:
+        gymnasium.error.UnregisteredEnv: always.
+    """
+    raise gym.error.UnregisteredEnv(
+        f"{team} is a team, a PettingZoo parallel environment: "
+        f'pettingzoo.make("parallel", "{team}") makes it'
     )
 
 

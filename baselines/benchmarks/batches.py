@@ -32,8 +32,9 @@ def native_contest(id: str) -> Contest:
 
 
 def native_contests() -> list[Contest]:
-    """Return one contest for every id that Gymnasium knows."""
-    return [native_contest(id) for id in bnprl_envs.environment_ids() if id in gym.registry]
+    """Return one contest for every environment of one agent."""
+    kinds = {id: bnprl_envs.entry(id).kind for id in bnprl_envs.environment_ids()}
+    return [native_contest(id) for id, kind in kinds.items() if not kind.startswith("parallel")]
 
 
 CONTESTS: tuple[Callable[[], list[Contest]], ...] = (native_contests,)

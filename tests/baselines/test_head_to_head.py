@@ -113,6 +113,11 @@ def test_comparisons_are_joined(
 
     assert main(["aggregate", folders[0], folders[0], "--out", str(out)]) == 2
     assert "is there twice" in capsys.readouterr().err
+    write(tmp_path / "alone", "bnprl/Tag-v0", {"strong": [-6.0] * 3})
+    assert main(["aggregate", str(tmp_path / "alone"), "--out", str(out)]) == 0
+    shown = capsys.readouterr().out
+    assert "who beats whom takes two agents that have finished runs in every folder" in shown
+    assert "P(better)" not in shown
     write(tmp_path / "foreign", "FrozenLake-v1", {"strong": [1.0]})
     assert main(["aggregate", str(tmp_path / "foreign"), "--out", str(out)]) == 2
     assert "are not known" in capsys.readouterr().err

@@ -118,6 +118,14 @@ def test_an_id_without_tables_has_no_model(monkeypatch):
         bnprl_envs.model(entry.id)
 
 
+@pytest.mark.parametrize("make", [gym.make, gym.make_vec])
+def test_gymnasium_says_where_a_team_is_to_be_had(make):
+    with pytest.raises(gym.error.UnregisteredEnv, match="is a team, a PettingZoo") as caught:
+        make("bnprl/DecTiger-v0")
+    line = str(caught.value).partition(": ")[2].removesuffix(" makes it")
+    assert line == 'pettingzoo.make("parallel", "bnprl/DecTiger-v0")'
+
+
 def test_public_names():
     for name in (*bnprl_envs.__all__, "TabularVectorEnv"):
         assert getattr(bnprl_envs, name) is not None
