@@ -1,4 +1,4 @@
-"""Settings of Stable-Baselines3's learners as data; importing this module costs nothing."""
+"""Settings of Stable-Baselines3's learners as data; importing this module does not import that."""
 
 from __future__ import annotations
 
@@ -6,12 +6,14 @@ import dataclasses
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
+from bnprl_agents.settings import Settings
+
 Team = Literal["shared", "independent"] | None
 """How a team's agents learn: by one network for all, or by one each; None: one agent only."""
 
 
 @dataclass(frozen=True)
-class OnPolicySettings:
+class OnPolicySettings(Settings):
     """Settings that the actor-critic learners share.
 
     The defaults were chosen on `bnprl/Hallway-v0` at 150,000 steps, from a few runs of one or
@@ -42,6 +44,7 @@ class OnPolicySettings:
     """Divide the rewards by the running spread of the discounted returns."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         _check_counts(self)
 
     @property
@@ -137,7 +140,7 @@ class SharedRecurrentPPOSettings(RecurrentPPOSettings):
 
 
 @dataclass(frozen=True)
-class DQNSettings:
+class DQNSettings(Settings):
     """Deep Q-network; its policy is greedy, so on a single observation it may loop for ever.
 
     On Hallway, with one seed, it learned nothing from one observation at a time.
@@ -174,6 +177,7 @@ class DQNSettings:
     """Units of each of the two hidden layers."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         _check_counts(self)
         if not 0.0 < self.exploration_fraction <= 1.0:
             raise ValueError(

@@ -14,10 +14,11 @@ from bnprl_agents.controllers.paths import path_counts, sample_paths
 from bnprl_agents.controllers.priors import maximise
 from bnprl_agents.episodes import EpisodeBatch, FloatArray, IntArray
 from bnprl_agents.policy_files import Arrays
+from bnprl_agents.settings import Settings
 
 
 @dataclass(frozen=True)
-class MonteCarloEMConfig:
+class MonteCarloEMConfig(Settings):
     """Settings of `MonteCarloEM`.
 
     The original explores by an upper confidence bound whose constant is not published; here a node
@@ -37,6 +38,7 @@ class MonteCarloEMConfig:
     """Added to every reward; the sum must not be negative. A terminal state earns it for ever."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         for name in ("nodes", "batch_episodes"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name}: {getattr(self, name)}, must be at least 1")

@@ -25,6 +25,7 @@ from bnprl_agents.controllers.schedules import blended_value, exponential
 from bnprl_agents.controllers.weighting import Evidence, by_return, by_reward
 from bnprl_agents.episodes import EpisodeBatch, FloatArray
 from bnprl_agents.policy_files import Arrays
+from bnprl_agents.settings import Settings
 
 MStep = Callable[[int, Counts, Posterior], Posterior]
 """(agent, its counts, its posterior) -> its new posterior."""
@@ -65,7 +66,7 @@ def inner_em(
 
 
 @dataclass(frozen=True)
-class NestedEMConfig:
+class NestedEMConfig(Settings):
     """Settings that the learners on the shared E-step have in common.
 
     The source leaves K and the iteration counts open.
@@ -95,6 +96,7 @@ class NestedEMConfig:
     """Of the weightings by return; larger values look at the best episodes only."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         check_settings(self)
 
 

@@ -21,11 +21,12 @@ from bnprl_agents.gaussian_process.kernels import (
     check_positive,
 )
 from bnprl_agents.policy_files import Arrays
+from bnprl_agents.settings import Settings
 from bnprl_agents.value_learner import Transitions, ValueAgent, check_exponent, taken
 
 
 @dataclass(frozen=True)
-class GPFittedQConfig:
+class GPFittedQConfig(Settings):
     """Settings of `GPFittedQ`."""
 
     regularization: float | Literal["auto"] = "auto"
@@ -59,6 +60,7 @@ class GPFittedQConfig:
     equally far from each other."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if isinstance(self.regularization, str):
             if self.regularization != "auto":
                 raise ValueError(f"regularization: {self.regularization!r}, must be 'auto' or > 0")

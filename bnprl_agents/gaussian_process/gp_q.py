@@ -25,6 +25,7 @@ from bnprl_agents.gaussian_process.sparse_gp import (
     check_sparsity,
 )
 from bnprl_agents.policy_files import Arrays
+from bnprl_agents.settings import Settings
 from bnprl_agents.value_learner import Transitions, check_exponent, taken
 
 OPTIMISM = 2.0
@@ -32,7 +33,7 @@ OPTIMISM = 2.0
 
 
 @dataclass(frozen=True)
-class GPQConfig:
+class GPQConfig(Settings):
     """Settings of `GPQ`. The source prints no bandwidth and no tolerance."""
 
     exploration: Literal["epsilon", "optimistic"] = "epsilon"
@@ -71,6 +72,7 @@ class GPQConfig:
     equally far from each other."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.exploration not in ("epsilon", "optimistic"):
             raise ValueError(
                 f"exploration: {self.exploration!r}, must be 'epsilon' or 'optimistic'"

@@ -10,13 +10,14 @@ import numpy as np
 from numba import vectorize
 
 from bnprl_agents.episodes import EpisodeBatch, IntArray
+from bnprl_agents.settings import Settings
 
 FIRST_LENGTH = 128.0
 """Steps that an episode is taken to have before any was seen."""
 
 
 @dataclass(frozen=True)
-class ProximalConfig:
+class ProximalConfig(Settings):
     """Settings that the actor-critics share."""
 
     batch_steps: int = 1024
@@ -37,6 +38,7 @@ class ProximalConfig:
     """Share of the critic's evidence that a batch leaves."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         check_counts(self, "batch_steps", "minibatch_steps", "epochs")
         check_positive(self, "clip")
         check_not_negative(self, "entropy")

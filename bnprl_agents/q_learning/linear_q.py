@@ -21,6 +21,7 @@ from bnprl_agents.gaussian_process.kernels import (
 )
 from bnprl_agents.policy_files import Arrays
 from bnprl_agents.q_learning.schedule import check_schedules, learning_rate
+from bnprl_agents.settings import Settings
 from bnprl_agents.value_learner import taken
 
 MOST_BASES = 10**6
@@ -30,7 +31,7 @@ LARGEST_ERROR = 1e100
 
 
 @dataclass(frozen=True)
-class LinearQConfig:
+class LinearQConfig(Settings):
     """Settings of `LinearQ`. The source does not say what t counts: here, transitions."""
 
     bases: int = 10
@@ -54,6 +55,7 @@ class LinearQConfig:
     equally far from each other."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         check_schedules(self)
         check_bandwidth(self.bandwidth)
         if self.bases < 1:

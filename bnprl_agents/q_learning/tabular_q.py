@@ -14,6 +14,7 @@ from bnprl_agents.compiled_values import CompiledValueAgent, register
 from bnprl_agents.episodes import FloatArray, IntArray
 from bnprl_agents.policy_files import Arrays
 from bnprl_agents.q_learning.schedule import check_schedules, learning_rate
+from bnprl_agents.settings import Settings
 from bnprl_agents.value_learner import taken
 
 MOST_CELLS = 10**7
@@ -21,7 +22,7 @@ MOST_CELLS = 10**7
 
 
 @dataclass(frozen=True)
-class TabularQConfig:
+class TabularQConfig(Settings):
     """Settings of `TabularQ`. The source does not say what t counts: here, transitions."""
 
     bins: int = 10
@@ -40,6 +41,7 @@ class TabularQConfig:
     """Of no use: cells of a grid are cells of the table."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         check_schedules(self)
         if self.bins < 1:
             raise ValueError(f"bins: {self.bins}, must be at least 1")

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from bnprl_agents.settings import Settings
+
 
 @dataclass(frozen=True)
-class ControllerSearchConfig:
+class ControllerSearchConfig(Settings):
     """Settings of `ControllerSearch`; the same serve every problem of the suite."""
 
     nodes: int = 64
@@ -33,6 +35,7 @@ class ControllerSearchConfig:
     """Agents of a larger team share one controller where their spaces are equal."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         for name, value in vars(self).items():
             least = 0 if name == "widest_window" else 1
             if value < least:

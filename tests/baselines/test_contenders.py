@@ -50,6 +50,18 @@ def small(name: str) -> Any:
 
 
 @names
+def test_numbers_that_are_none_are_refused_in_one_line(name: str) -> None:
+    settings = contender(name).settings
+    words = {int: ("a whole number", ("x", None, 2.5, True)), float: ("a number", ("x", None))}
+    for field in dataclasses.fields(settings):
+        wanted, wrong = words.get(type(field.default), ("", ()))
+        for value in wrong:
+            line = f"^{field.name}: {value!r}, must be {wanted}$"
+            with pytest.raises(ValueError, match=line):
+                dataclasses.replace(settings, **{field.name: value})
+
+
+@names
 def test_contender_is_complete(name: str) -> None:
     entry = contender(name)
     assert entry.name == name
