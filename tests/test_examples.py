@@ -13,6 +13,7 @@ EXAMPLES = {
     "train_and_watch": (["--episodes", "300"], "discounted return"),
     "my_pomdp_file": (["--steps", "3000"], "best memoryless"),
     "my_gymnasium_env": (["--steps", "2100"], "ppo"),
+    "team": (["--steps", "2000000"], "exact value: "),
     "my_agent": (["--steps", "2100"], "Sarsa"),
     "on_a_cluster": (["--episodes", "300"], "online-em/1"),
 }
