@@ -21,7 +21,7 @@ from baselines.records import RecordError, RunFiles
 from baselines.report import finished_runs, print_table, table, write_report
 from baselines.sb3_checks import check_served
 from baselines.status import failure
-from baselines.study import load_study, open_study, read_runs, study_folders
+from baselines.study import is_reproduction, load_study, open_study, read_runs, study_folders
 from baselines.usage import usage_errors
 from baselines.workers import EngineError, Workers
 from bnprl_agents.controllers.learner import NegativeRewardError
@@ -245,14 +245,15 @@ def _enough(experiment: Experiment, entry: Entry) -> str:
 
 def report(options: Report) -> int:
     """Make the report of a folder again; of a reproduction those of its panels, and its own."""
+    reproduced = is_reproduction(options.folder)
     with usage_errors():
-        folders = study_folders(options.folder)
+        folders = study_folders(options.folder, required=not reproduced)
         for place in folders:
             load_study(place)
     for place in folders:
         with _locked(place):
             _report(place)
-    if options.folder not in folders and (options.folder / "summary.json").is_file():
+    if reproduced:
         from baselines.reproduce import write_again  # imports this module
 
         with usage_errors(ValueError):

@@ -103,16 +103,21 @@ def trusted_environment(study: Study) -> EnvironmentSpec:
     return environment
 
 
-def study_folders(folder: Path) -> list[Path]:
+def is_reproduction(folder: Path) -> bool:
+    """Return whether `reproduce` made a folder, whose panels may all be computed, not recorded."""
+    return (folder / "summary.json").is_file() and not (folder / FILE).is_file()
+
+
+def study_folders(folder: Path, *, required: bool = True) -> list[Path]:
     """Return the folders of experiments: this one, or those in it that `reproduce` made.
 
     Raises:
-        RecordError: there is none.
+        RecordError: there is none, though one is required.
     """
     if (folder / FILE).is_file():
         return [folder]
     below = sorted(path.parent for path in folder.glob(f"*/{FILE}"))
-    if not below:
+    if required and not below:
         raise RecordError(f"{folder}: holds no experiment ({FILE} is missing)")
     return below
 

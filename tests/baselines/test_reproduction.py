@@ -134,6 +134,9 @@ def test_all_experiments_are_one_page(tmp_path, monkeypatch):
     assert "bnprl reproduce figure-1.1 --quick" in page
     alone = (tmp_path / "table-1.2" / "report.html").read_text()
     assert alone.count(">lines in a table<") == 2  # title and heading
+    (tmp_path / "table-1.2" / "figure.png").unlink()
+    assert cli.main(["report", str(tmp_path / "table-1.2")]) == 0
+    assert (tmp_path / "table-1.2" / "figure.png").is_file()
     for wrong in ([], ["figure-1.1", "--all"]):
         assert cli.main(["reproduce", *wrong]) == 2
 
