@@ -9,7 +9,9 @@ from baselines.reproduction import LENGTH, Comparison, Measure, Reproduction
 ENTRIES = tuple(
     entry for entry in PUDDLES if entry.contender.startswith("gpq") or entry.name.endswith("worst")
 )
-EXPERIMENT = contest("PuddleWorld", ENTRIES, steps=20_000, seeds=3, eval_points=4, eval_episodes=50)
+EXPERIMENT = contest(
+    "PuddleWorld", ENTRIES, steps=20_000, seeds=10, eval_points=4, eval_episodes=50
+)
 DIVERGED = 1e6
 """Error shown for a learner whose values grow without bound; no return is as large."""
 QUICK = {"seeds": 1, "steps": 15_000, "eval_points": 3, "eval_episodes": 10}

@@ -16,7 +16,7 @@ REPRODUCTION = Reproduction(
                 "PuddleWorld",
                 sized(PUDDLES, side),
                 steps=20_000,
-                seeds=3,
+                seeds=10,
                 eval_points=2,
                 eval_episodes=50,
             ),

@@ -21,7 +21,7 @@ EXPERIMENT = Experiment(
         Entry("by-reward", "stick-breaking", {"batch_episodes": K} | REWARD),
     ),
     episodes=40 * K,
-    seeds=2,
+    seeds=5,
     eval_episodes=100,
     eval_points=5,
 )

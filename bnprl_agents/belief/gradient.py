@@ -23,12 +23,16 @@ class Surrogate(NamedTuple):
         behaviour: (S,) probability with which each was chosen.
         clip: share by which a probability may change before the step stops counting.
         entropy: weight of the policy's entropy.
+        barrier: weight of -KL(uniform || policy), whose gradient is uniform - p: unlike the
+            entropy's it does not vanish with p. Agarwal et al., On the theory of policy gradient
+            methods, 2021, section 5.1.
     """
 
     advantage: FloatArray
     behaviour: FloatArray
     clip: float
     entropy: float
+    barrier: float
 
     def at(self, rows: IntArray) -> Surrogate:
         """That of some of the steps."""
@@ -42,6 +46,7 @@ class Surrogate(NamedTuple):
         log_p = np.log(np.maximum(p, 1e-300))
         entropy = -(p * log_p).sum(axis=1, keepdims=True)
         slope: FloatArray = -pull[:, None] * p - self.entropy * p * (log_p + entropy)
+        slope += self.barrier * (1.0 / p.shape[1] - p)
         slope[steps, actions] += pull
         return slope
 

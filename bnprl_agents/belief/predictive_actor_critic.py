@@ -44,8 +44,11 @@ class PredictiveActorCriticConfig(ProximalConfig):
     """First step size of Adam on the logits."""
     entropy: float = 0.05
     """First weight of the policy's entropy, in standard deviations of the advantage."""
+    barrier: float = 0.005
+    """First weight of -KL(uniform || policy), in the same unit: its pull does not fade where an
+    action has become rare, so that none that failed at first is ruled out for good."""
     annealing_steps: float = 100_000.0
-    """Steps after which entropy weight and step size fall as 1 / steps."""
+    """Steps after which both weights and the step size fall as 1 / steps."""
     prediction: float = 1.0
     """Weight of the model's predictions; 0 leaves the model to the policy's gradient, too."""
     replay_batches: int = 500
@@ -57,7 +60,7 @@ class PredictiveActorCriticConfig(ProximalConfig):
         super().__post_init__()
         check_counts(self, "states", "memory", "replay_batches", "division_steps")
         check_positive(self, "learning_rate", "annealing_steps")
-        check_not_negative(self, "prediction")
+        check_not_negative(self, "prediction", "barrier")
 
 
 CRITIC_RIDGE = 1.0
@@ -109,7 +112,7 @@ class PredictiveActorCritic(BeliefAgent):
         return self.config.batch_episodes(self.mean_length)
 
     def annealing(self) -> float:
-        """Factor of the entropy weight and of the step size."""
+        """Factor of the weights of entropy and barrier and of the step size."""
         return min(1.0, self.config.annealing_steps / self.steps)
 
     def reward_scale(self) -> float:
@@ -147,8 +150,14 @@ class PredictiveActorCritic(BeliefAgent):
         )
         standard, scale = standardised(advantage, on_policy, actor.scale)
         self.actor = actor._replace(critic=critic, scale=scale)
-        entropy = self.config.entropy * self.annealing()
-        return Surrogate(standard, episodes.behaviour[:, 0], self.config.clip, entropy)
+        annealing = self.annealing()
+        return Surrogate(
+            standard,
+            episodes.behaviour[:, 0],
+            self.config.clip,
+            annealing * self.config.entropy,
+            annealing * self.config.barrier,
+        )
 
     def _histories(self, episodes: EpisodeBatch) -> Histories:
         """Both beliefs along the episodes; the last observation is the critic's cell."""

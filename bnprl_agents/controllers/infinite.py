@@ -52,13 +52,15 @@ class InfiniteRPRConfig(BayesianConfig):
     """New episodes between two updates; the source updates after each."""
     outer_iterations: int = 5
     """Sweeps of the hybrid sampler an update."""
-    exploration_prior: float = 50.0
-    """u1 of the Beta distribution from which a node's exploitation is drawn; larger explores. The
-    source's 2 stops exploring within a hundred episodes here, where u0 counts every visit."""
+    exploration_prior: float = 2.0
+    """u1 of the Beta distribution from which a node's exploitation is drawn; larger explores."""
     evidence_per_episode: float = 16.0
-    """Observations as which one episode weighs against the prior, where evidence_scale is 0. At 1
-    the price of a node's rows, some 50 nats, is above what memory gains in a thousand episodes
-    where policies differ by a few per cent in value."""
+    """Observations as which one episode weighs against the prior in the end, where evidence_scale
+    is 0. At 1 the price of a node's rows, some 50 nats, is above what memory gains in a thousand
+    episodes where policies differ by a few per cent in value."""
+    sharpening_episodes: float = 500.0
+    """Episodes after which an episode weighs half of that: a policy sharpened by few of them stops
+    trying other actions."""
     divisions: int = 2
     """Proposals an update to divide a node in two; one is taken where it raises the lower bound.
     Not in the source: the special state alone seldom breaks the symmetry of two equal nodes."""
@@ -80,6 +82,10 @@ class InfiniteRPRConfig(BayesianConfig):
         if not 0.0 < self.evidence_per_episode < np.inf:
             raise ValueError(
                 f"evidence_per_episode: {self.evidence_per_episode}, must be positive and finite"
+            )
+        if not 0.0 <= self.sharpening_episodes < np.inf:
+            raise ValueError(
+                f"sharpening_episodes: {self.sharpening_episodes}, must be finite, not negative"
             )
         if self.divisions < 0 or self.division_sweeps < 1:
             raise ValueError(
@@ -163,7 +169,9 @@ class InfiniteRPR(BayesianEM):
 
     def evidence_scale(self, episodes: EpisodeBatch) -> float:
         """Observations as which the statistics weigh against the prior."""
-        return self.config.evidence_scale or self.config.evidence_per_episode * self.episodes
+        sharpened = self.episodes / (self.episodes + self.config.sharpening_episodes)
+        each = self.config.evidence_per_episode * sharpened
+        return self.config.evidence_scale or each * self.episodes
 
     def learn(self, episodes: EpisodeBatch) -> Metrics:
         """Learn from new episodes; see `NestedEM.learn`. Also returns the mean number of nodes."""

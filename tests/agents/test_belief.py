@@ -93,6 +93,7 @@ def surrogate_of(episodes, logits, surrogate):
     p = policy.action_probabilities(beliefs_of(episodes, policy), episodes.observations[:, 0])
     taken = np.take_along_axis(p, episodes.actions, axis=1)[:, 0]
     total = (taken / surrogate.behaviour * surrogate.advantage).sum()
+    total += surrogate.barrier * np.log(p).mean(axis=1).sum()
     return (total - surrogate.entropy * (p * np.log(p)).sum()) / episodes.n_steps
 
 
@@ -101,7 +102,7 @@ def test_the_policys_gradient_is_that_of_finite_differences():
     logits = logits._replace(
         action=rng.normal(size=logits.action.shape), sight=rng.normal(size=logits.sight.shape)
     )
-    surrogate = Surrogate(rng.normal(size=10), episodes.behaviour[:, 0], 1e9, 0.3)
+    surrogate = Surrogate(rng.normal(size=10), episodes.behaviour[:, 0], 1e9, 0.3, 0.2)
     gradient = policy_gradient(Sequences.of(episodes), logits.policy(), surrogate)
     for name, slope in gradient._asdict().items():
         assert_slope(
@@ -145,7 +146,7 @@ def test_a_step_beyond_the_clip_does_not_count():
     _, episodes, logits = case(2)
     sequences, policy = Sequences.of(episodes), logits.policy()
     tiny = np.full(10, 1e-3)  # every ratio is far over 1 + clip
-    surrogate = Surrogate(np.ones(10), tiny, 0.2, 0.0)
+    surrogate = Surrogate(np.ones(10), tiny, 0.2, 0.0, 0.0)
     assert all((table == 0.0).all() for table in policy_gradient(sequences, policy, surrogate))
     against = surrogate._replace(advantage=-np.ones(10))
     assert np.abs(policy_gradient(sequences, policy, against).action).max() > 0.0
