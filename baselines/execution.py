@@ -241,6 +241,7 @@ class _Course:
             final=final,
             reward_mean=float(result.rewards.mean()),
             train_reward=progress.reward,
+            train_return=progress.returned,
         )
         self._log.append(record)
         scores = {"return_mean": record.return_mean, "length_mean": record.length_mean}

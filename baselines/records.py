@@ -48,6 +48,8 @@ class Record:
             records of earlier versions.
         train_reward: sum of the rewards earned in training so far, exploration included; None
             where nobody counted.
+        train_return: mean discounted return of the training episodes so far, exploration included;
+            None where nobody counted.
     """
 
     contender: str
@@ -65,6 +67,7 @@ class Record:
     final: bool
     reward_mean: float | None = None
     train_reward: float | None = None
+    train_return: float | None = None
 
     def line(self) -> bytes:
         """Return the record as one line of JSON."""
@@ -235,13 +238,14 @@ _CHECKS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "final": (lambda value: isinstance(value, bool), "true or false"),
     "reward_mean": (_is_number_or_null, "a finite number or null"),
     "train_reward": (_is_number_or_null, "a finite number or null"),
+    "train_return": (_is_number_or_null, "a finite number or null"),
 }
 
 
 def _record(value: Any, where: str) -> Record:
     if not isinstance(value, dict):
         raise RecordError(f"{where}: not a record")
-    value = {"reward_mean": None, "train_reward": None} | value
+    value = {"reward_mean": None, "train_reward": None, "train_return": None} | value
     for key in value.keys() ^ _CHECKS.keys():
         raise RecordError(f"{where}: key {key!r} {'is unknown' if key in value else 'is missing'}")
     for key, (check, wanted) in _CHECKS.items():

@@ -51,6 +51,7 @@ EXACT = Measure("exact discounted return", lambda record: record.exact_value)
 LENGTH = Measure("mean steps of an episode", lambda record: record.length_mean)
 SECONDS = Measure("seconds of training", lambda record: record.train_seconds)
 EARNED = Measure("sum of rewards while learning", lambda record: record.train_reward)
+RETURNED = Measure("mean return of all episodes so far", lambda record: record.train_return)
 REWARD = Measure("mean sum of an episode's rewards", lambda record: record.reward_mean)
 REWARD_PER_STEP = Measure(
     "mean reward per step",

@@ -125,7 +125,7 @@ class HistoryAgent(Agent):
         self, model: TabularModel, horizon: int, budget: Budget, rng: np.random.Generator
     ) -> Iterator[Progress]:
         """Sample and learn, batch by batch; the last one keeps the episodes that still fit."""
-        done, taken, earned, spent = 0, 0, 0.0, False
+        done, taken, earned, returned, spent = 0, 0, 0.0, 0.0, False
         while budget.allows(done, taken) and not spent:
             wanted = self.batch_episodes
             if budget.episodes is not None:
@@ -137,7 +137,8 @@ class HistoryAgent(Agent):
             if batch.n_episodes:
                 done, taken = done + batch.n_episodes, taken + batch.n_steps
                 earned += float(batch.rewards.sum())
-                yield Progress(done, taken, self.learn(batch), earned)
+                returned += float(batch.returns(self.discount).sum())
+                yield Progress(done, taken, self.learn(batch), earned, returned / done)
         if not done:
             yield Progress(0, 0, reward=0.0)
 

@@ -23,12 +23,14 @@ class Progress:
         steps: environment steps taken so far, over all copies.
         metrics: what the last update reported; {} between updates.
         reward: earned while learning, not discounted, over all steps; None where nobody counts.
+        returned: mean discounted return of the episodes learned from; None where nobody counts.
     """
 
     episodes: int
     steps: int
     metrics: dict[str, float] = field(default_factory=dict)
     reward: float | None = None
+    returned: float | None = None
 
 
 @dataclass(frozen=True)

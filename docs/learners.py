@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from baselines.benchmarks import pomdp_learners, team_learners
+from baselines.benchmarks import pomdp_learners, team_learners, time_to_value
+from baselines.benchmarks.run_records import Score
 from baselines.report import DASH, number
 from baselines.statistics import mean_interval
 from bnprl_envs import registry
@@ -56,6 +57,33 @@ def team_table() -> list[list[str]]:
     return [HEADER, *(row(each.name, each.steps, found[each.name]) for each in ordered)]
 
 
+def deep_table(shares: Sequence[float]) -> list[list[str]]:
+    """Return steps and seconds until shares of the way to the best known value, header first."""
+    curves: dict[tuple[str, str], list[list[Score]]] = defaultdict(list)
+    for record in rows(RESULTS / "time-to-value" / "records.jsonl"):
+        run = record["run"]
+        curves[run["environment"], run["agent"]].append([Score(**s) for s in record["scores"]])
+    table = [["environment", "share", "value", *time_to_value.AGENTS]]
+    for env in time_to_value.BUDGETS:
+        for share, value in zip(time_to_value.SHARES, time_to_value.thresholds(env), strict=True):
+            if share in shares:
+                when = (reached(curves[env, name], value) for name in time_to_value.AGENTS)
+                name = env.removeprefix("bnprl/").removesuffix("-v0")
+                table.append([name, f"{share:.0%}", number(value, ".4g"), *when])
+    return table
+
+
+def reached(curves: Sequence[Sequence[Score]], value: float) -> str:
+    """Return median steps and seconds, or the mean value at the end of those that never come."""
+    if not curves:
+        return DASH
+    steps, seconds = time_to_value.typical(curves, value)
+    if np.isfinite(steps):
+        return f"{steps:,.0f} ({number(seconds, '.1f')} s)"
+    last = float(np.mean([scores[-1].value for scores in curves]))
+    return f"never; {number(last, '.3g')} after {number(curves[0][-1].steps, ',')}"
+
+
 def row(env: str, steps: int, scores: Sequence[dict[str, Any]]) -> list[str]:
     """Return the cells of one environment at a budget of environment steps."""
     values = [score["value"] for score in scores]
@@ -91,8 +119,8 @@ def markdown(cells: Iterable[Sequence[str]]) -> str:
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
-def tables() -> str:
-    """Return both tables with what they are of."""
+def tables(shares: Sequence[float] = time_to_value.SHARES) -> str:
+    """Return the tables with what they are of; deep learners at some shares of the way alone."""
     return f"""`predictive-actor-critic`, one agent, from episodes alone
 (`python -m baselines.benchmarks.pomdp_learners`):
 
@@ -103,6 +131,12 @@ grid traffic in units that pass in a step:
 
 {markdown(team_table())}
 
+Beside deep learners (`python -m baselines.benchmarks.time_to_value`): environment steps and, in
+brackets, processor seconds until a policy has gone a share of the way from random play to the best
+known value; medians of three seeds:
+
+{markdown(deep_table(shares))}
+
 Every row is of the same default settings. Simulated values, those of the first table and of grid
 traffic, may be above an optimum by chance."""
 
@@ -111,7 +145,7 @@ def with_tables(readme: str) -> str:
     """Return the README with the tables between its marks."""
     before, _, rest = readme.partition(BEGIN)
     _, _, after = rest.partition(END)
-    return f"{before}{BEGIN}\n{tables()}\n{END}{after}"
+    return f"{before}{BEGIN}\n{tables([0.9])}\n{END}{after}"
 
 
 def write_page(folder: Path) -> None:

@@ -59,7 +59,7 @@ GOALS = {
     "bnprl/Grid4x4-v0": (Goal(100_000, 0.82),),
     "bnprl/NoisyMaze1D-v0": (Goal(100_000, 0.71),),
     "bnprl/Shuttle-v0": (Goal(100_000, 31.0),),
-    "bnprl/Tag-v0": (Goal(1_000_000, -8.0), Goal(5_000_000, -8.0)),
+    "bnprl/Tag-v0": (Goal(1_000_000, -8.0),),
     "bnprl/Hallway2-v0": (Goal(300_000, 0.206135),),
     PARCELS: (Goal(100_000, 0.68395),),
     MACHINE: (Goal(200_000, 8.81799),),

@@ -24,6 +24,8 @@ ROW_PRIOR: GammaPrior = (10.0, 10.0)
 """Of alpha, section 5.5, read as shape and rate."""
 TOP_PRIOR: GammaPrior = (3.0, 10.0)
 """Of lambda."""
+SMALLEST = 1e-12
+"""Weight of a node at least."""
 
 
 @dataclass(frozen=True)
@@ -111,13 +113,14 @@ def resampled(
     if kept.special is None:
         beta = beta[:-1] / beta[:-1].sum()
     fresh = np.zeros_like(weights)
-    fresh[held] = beta[: held.size]
+    fresh[kept.active] = SMALLEST  # a draw may underflow
+    fresh[held] = np.maximum(fresh[held], beta[: held.size])
     if kept.special is not None:
-        fresh[kept.special] = beta[-1]
+        fresh[kept.special] = max(SMALLEST, beta[-1])
     total = int(tables.sum())
     return Hierarchy(
         occupied,
-        np.maximum(fresh, np.where(fresh > 0.0, 1e-12, 0.0)),
+        fresh,
         sample_row_concentration(hierarchy.alpha, rows.sum(axis=1), total, ROW_PRIOR, rng),
         sample_top_concentration(hierarchy.top, held.size, total, TOP_PRIOR, rng),
     )

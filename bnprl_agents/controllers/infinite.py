@@ -25,10 +25,11 @@ from bnprl_agents.controllers.paths import path_counts, reward_steps, sample_pat
 from bnprl_agents.controllers.priors import Posterior, Prior, blend, scaled
 from bnprl_agents.controllers.schedules import blended_value
 from bnprl_agents.controllers.variational import BayesianConfig, BayesianEM
-from bnprl_agents.episodes import EpisodeBatch
+from bnprl_agents.episodes import EpisodeBatch, FloatArray
 from bnprl_agents.policy_files import Arrays
 
 T = TypeVar("T")
+TINY = float(np.finfo(np.float64).tiny)
 
 
 @dataclass(frozen=True)
@@ -172,6 +173,15 @@ class InfiniteRPR(BayesianEM):
         sharpened = self.episodes / (self.episodes + self.config.sharpening_episodes)
         each = self.config.evidence_per_episode * sharpened
         return self.config.evidence_scale or each * self.episodes
+
+    def occupancies(self, data: EpisodeBatch) -> list[FloatArray]:
+        """u0 (Z,) of each agent: rewards, in units of the mean return, shared out by the visits.
+
+        The sentence after (2.47), a reward is allocated "in proportion to" the visits before it;
+        the sum as printed counts it for each of them.
+        """
+        visits = [counts.action.sum(axis=1) for counts in self.statistics]
+        return [self.episodes * each / max(each.sum(), TINY) for each in visits]
 
     def learn(self, episodes: EpisodeBatch) -> Metrics:
         """Learn from new episodes; see `NestedEM.learn`. Also returns the mean number of nodes."""

@@ -218,9 +218,13 @@ class NestedEM(ControllerAgent):
         if self.config.weighting == "reward":
             metrics["value"] = exponential(self.weigh(data, messages).log_value)
         metrics |= self.improve(data, messages)
-        scale = self.evidence_episodes(data)
-        self.set_exploration([scale * s.action.sum(axis=1) for s in self.statistics])
+        self.set_exploration(self.occupancies(data))
         return metrics
+
+    def occupancies(self, data: EpisodeBatch) -> list[FloatArray]:
+        """u0 (Z,) of each agent, (2.47): a reward counts for every visit before it."""
+        scale = self.evidence_episodes(data)
+        return [scale * counts.action.sum(axis=1) for counts in self.statistics]
 
     def improve(self, data: EpisodeBatch, messages: Sequence[Messages]) -> Metrics:
         """Blend a batch into the statistics and improve the posteriors.

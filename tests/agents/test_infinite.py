@@ -156,6 +156,27 @@ def test_a_special_state_that_is_occupied_becomes_a_node_and_an_empty_node_goes(
     assert full.special is None
 
 
+def test_an_active_node_keeps_some_weight_where_its_draw_is_zero():
+    counts = Counts(np.zeros((1, 4)), np.zeros((4, 2)), np.zeros((2, 1, 4, 4)))
+    counts.initial[0, 0] = 9.0  # no table serves the second node
+    hierarchy = replace(first_hierarchy(room=4, nodes=2), top=1e-9)
+    occupied = np.array([True, True, False, False])
+    found = resampled(hierarchy, counts, occupied, np.random.default_rng(0))
+    assert (found.weights[found.active] > 0.0).all()
+    assert found.weights[1] == found.weights[2] == 1e-12
+
+
+def test_rewards_are_shared_out_among_the_nodes_that_were_visited_before_them():
+    agent, model = learner(), copying_model(DISCOUNT)
+    assert sum(agent.occupancies(None)[0]) == 0.0
+    rng = np.random.default_rng(0)
+    agent.learn(agent.sample(model, episodes=30, horizon=5, rng=rng))
+    (occupancy,) = agent.occupancies(None)
+    assert occupancy.sum() == pytest.approx(30.0)
+    visits = agent.statistics[0].action.sum(axis=1)
+    np.testing.assert_allclose(occupancy / 30.0, visits / visits.sum())
+
+
 def learner(**settings):
     config = InfiniteRPRConfig(**({"nodes": 8, "initial_nodes": 3} | settings))
     return InfiniteRPR(*COPYING, config, discount=DISCOUNT, seed=1)
