@@ -23,6 +23,7 @@ from bnprl_envs import registry
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "baselines" / "results"
 BEGIN, END = "<!-- learners: begin -->", "<!-- learners: end -->"
+ITS_METHODS = ("online-em", "batch-em", "nodes-", "infinite-rpr", "stick-breaking")
 HEADER = ["environment", "steps", "mean", "95% interval", "best seed", "seeds", "best memoryless"]
 HEADER += ["best known", "CPU seconds a seed"]
 
@@ -84,6 +85,34 @@ def reached(curves: Sequence[Sequence[Score]], value: float) -> str:
     return f"never; {number(last, '.3g')} after {number(curves[0][-1].steps, ',')}"
 
 
+def source_table() -> list[list[str]]:
+    """Return a row for each panel of returns or rewards that the source has numbers for.
+
+    What the source calls its own, and the best of what else it lists; the same of the runs here.
+    """
+    table = [["", "measure", "its methods, here", "its methods, there", "best here", "best there"]]
+    for path in sorted(RESULTS.glob("[ft]*/summary.json")):
+        summary = json.loads(path.read_text("utf-8"))
+        for panel in summary["panels"]:
+            if not panel["measure"].startswith(("seconds", "nodes")):
+                found = compared(panel["rows"])
+                name = f"{summary['title'].split(':')[0]}, {panel['title']}"
+                table += [[name, panel["measure"], *found]] if found else []
+    return table
+
+
+def compared(rows: Sequence[dict[str, Any]]) -> list[str]:
+    """Return the four best rows, or nothing where the source has none of its own."""
+    here = [row for row in rows if row["source"] is None]
+    there = [row for row in rows if row["source"] and "issertation" in row["source"]]
+    its = [row for row in here if row["agent"].startswith(ITS_METHODS)]
+    own = [row for row in there if row["agent"].startswith(("dissertation", "RPR", "online EM"))]
+    if not (its and own):
+        return []
+    best = (max(each, key=lambda row: row["mean"]) for each in (its, own, here, there))
+    return [f"{number(row['mean'], '.4g')} ({row['agent']})" for row in best]
+
+
 def row(env: str, steps: int, scores: Sequence[dict[str, Any]]) -> list[str]:
     """Return the cells of one environment at a budget of environment steps."""
     values = [score["value"] for score in scores]
@@ -137,8 +166,14 @@ known value; medians of three seeds:
 
 {markdown(deep_table(shares))}
 
-Every row is of the same default settings. Simulated values, those of the first table and of grid
-traffic, may be above an optimum by chance."""
+Beside the source, from the kept records of `bnprl reproduce`, whose settings stand in each
+`experiment.json` and whose differences in the notes of each experiment's page; "ours" is
+`predictive-actor-critic`:
+
+{markdown(source_table())}
+
+Every row of the first three tables is of the same default settings. Simulated values, those of the
+first table and of grid traffic, may be above an optimum by chance."""
 
 
 def with_tables(readme: str) -> str:

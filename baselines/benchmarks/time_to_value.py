@@ -1,8 +1,8 @@
 """Environment steps and processor seconds until a policy is good, beside deep learners.
 
 `python -m baselines.benchmarks.time_to_value --out records.jsonl` trains the strong learner of
-POMDPs, RecurrentPPO and PPO in one run on seven environments, about an hour in all, and prints when
-each first goes 80%, 90% and 95% of the way from random play to the best known value: the median
+POMDPs, RecurrentPPO and PPO in one run on seven environments, about an hour in all, with `--jobs`
+several at a time, and prints when each first goes 80%, 90% and 95% of the way from random play to the best known value: the median
 over the seeds, if more than half of them get there. (Shares of the best known value itself would
 say nothing where random play earns 84% of it, or where it is negative.) Every finished run is a
 line of the file, and is not run again. Values are means over simulated episodes, never those of
