@@ -2,9 +2,10 @@
 
 `python -m baselines.benchmarks.time_to_value --out records.jsonl` trains the strong learner of
 POMDPs, RecurrentPPO and PPO in one run on seven environments, about an hour in all, with `--jobs`
-several at a time, and prints when each first goes 80%, 90% and 95% of the way from random play to the best known value: the median
-over the seeds, if more than half of them get there. (Shares of the best known value itself would
-say nothing where random play earns 84% of it, or where it is negative.) Every finished run is a
+several at a time, and prints when each first goes 80%, 90% and 95% of the way from random play to
+the best known value: the median over the seeds, if more than half of them get there. (Shares of the
+best known value itself would say nothing where random play earns 84% of it, or where it is
+negative.) Every finished run is a
 line of the file, and is not run again. Values are means over simulated episodes, never those of
 training; the seconds are those of learning alone, after compilation, on one core each.
 
