@@ -111,8 +111,8 @@ REPRODUCTION = Reproduction(
         "What came out: predictive-actor-critic is within 5% of every optimum, where the U-trees "
         "are too. EM is at the source's values in the maze and near the grid's optimum, but below "
         "the source in Shuttle: one update sees 20 short episodes, and good ones are rare. iRPR is "
-        "below EM everywhere, as it explores for longer and learns from running means; the source "
-        "has no numbers of it here.",
+        "below EM everywhere: it learns from running means of few episodes; the source has no "
+        "numbers of it here.",
         "The source's .259 on the grid is above the optimum of this model: it was another one.",
         "Seeds are 5 where the source has 21 trials; recurrent-ppo has one.",
         "Shuttle has negative rewards: online EM weighs episodes by exp(4 x standardised return), "

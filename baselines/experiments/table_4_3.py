@@ -75,10 +75,10 @@ REPRODUCTION = Reproduction(
         "The sum is over the whole episodes that fit in the budget, 3,500 steps in Hallway and "
         "5,000 in Tag, and is lower than over all steps by a part of one episode.",
         "PP-2 and PP-3 are given an expert's trajectories; the others learn alone.",
-        "What came out: in Hallway EM earns a little more than the source's, but hardly more than "
-        "random behaviour: so few rewards come in. predictive-actor-critic earns about twice "
-        "that. In Tag the source's EM loses little beyond one a step, as if it never tagged in "
-        "vain; ours, with rewards shifted by 10, needs longer to unlearn that than 50 episodes. "
+        "What came out: in Hallway EM and iRPR earn a little more than the source's, but not twice "
+        "what random behaviour does: so few rewards come in, also for predictive-actor-critic. In "
+        "Tag the source's EM loses little beyond one a step, as if it never tagged in vain; ours, "
+        "with rewards shifted by 10, needs longer to unlearn that than 50 episodes. "
         "predictive-actor-critic is ahead of PP-2 and behind the source's EM and PP-3.",
         "recurrent-ppo has 2 seeds, the others 10, and makes whole rollouts of 2,048 steps: one in "
         "Hallway and two in Tag, so that its sums are over fewer steps.",
