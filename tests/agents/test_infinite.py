@@ -23,7 +23,8 @@ from bnprl_agents.controllers.hierarchy import (
     resampled,
     shared_out,
 )
-from bnprl_agents.controllers.infinite import InfiniteRPR, InfiniteRPRConfig
+from bnprl_agents.controllers.infinite import InfiniteRPR
+from bnprl_agents.controllers.infinite_settings import InfiniteRPRConfig
 from bnprl_agents.controllers.mcem import (
     MonteCarloEM,
     MonteCarloEMConfig,

@@ -14,7 +14,8 @@ from bnprl_agents.belief.predictive_actor_critic import (
 )
 from bnprl_agents.controllers.actor_critic import ActorCritic, ActorCriticConfig
 from bnprl_agents.controllers.em import BatchEM, BatchEMConfig
-from bnprl_agents.controllers.infinite import InfiniteRPR, InfiniteRPRConfig
+from bnprl_agents.controllers.infinite import InfiniteRPR
+from bnprl_agents.controllers.infinite_settings import InfiniteRPRConfig
 from bnprl_agents.controllers.learner import NegativeRewardError
 from bnprl_agents.controllers.mcem import MonteCarloEM, MonteCarloEMConfig
 from bnprl_agents.controllers.online_em import OnlineEM, OnlineEMConfig

@@ -16,11 +16,8 @@ from bnprl_agents.controllers.initialisation import (
 from bnprl_agents.controllers.messages import Counts
 from bnprl_agents.controllers.priors import node_count
 from bnprl_agents.controllers.rollout import rollout
-from bnprl_agents.controllers.stick_breaking import (
-    StickBreaking,
-    StickBreakingConfig,
-    StickBreakingPrior,
-)
+from bnprl_agents.controllers.stick_breaking import StickBreaking, StickBreakingConfig
+from bnprl_agents.controllers.stick_breaking_prior import StickBreakingPrior
 from bnprl_agents.controllers.sticks import (
     Sticks,
     geometric_rows,
