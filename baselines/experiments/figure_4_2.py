@@ -8,6 +8,7 @@ from baselines.experiments.figure_4_1 import PROBLEMS
 from baselines.reproduction import LENGTH, RETURN, REWARD, Comparison, Reproduction, registered
 
 NODES = (10, 20, 30, 40, 50, 60)
+LABELS = {f"nodes-{z}": f"{z} nodes" for z in NODES}
 RUNS = {"Hallway": (50_000, 5), "Tag": (5_000, 5)}
 """Training episodes and seeds."""
 QUICK = {"seeds": 1, "episodes": 1_000, "eval_points": 4, "eval_episodes": 250}
@@ -31,9 +32,24 @@ def panels(name: str) -> tuple[Comparison, ...]:
     )
     known = registered(f"bnprl/{name}-v0")
     value = Comparison(
-        name.lower(), name, experiment, QUICK, RETURN, references=known, x="episodes"
+        name.lower(),
+        name,
+        experiment,
+        QUICK,
+        RETURN,
+        references=known,
+        x="episodes",
+        labels=LABELS,
     )
-    steps = Comparison(name.lower(), f"{name}: steps", experiment, QUICK, LENGTH, x="episodes")
+    steps = Comparison(
+        name.lower(),
+        f"{name}: steps",
+        experiment,
+        QUICK,
+        LENGTH,
+        x="episodes",
+        labels=LABELS,
+    )
     if name == "Tag":
         return value, steps
     goal = Comparison(
@@ -43,6 +59,7 @@ def panels(name: str) -> tuple[Comparison, ...]:
         QUICK,
         REWARD,
         x="episodes",
+        labels=LABELS,
     )
     return value, goal, steps
 
