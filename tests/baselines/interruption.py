@@ -108,7 +108,7 @@ def main() -> int:
         for jobs in ("1", "2"):
             out = Path(folder) / f"killed-{jobs}"
             arguments = [*compare, "--no-progress", "--jobs", jobs, "--out", str(out)]
-            for seconds in rng.uniform(0.0, taken, options.kills):
+            for seconds in rng.uniform(0.0, taken / int(jobs) / 2.0, options.kills):
                 kill_at(arguments, seconds)
                 print(f"--jobs {jobs}: after {seconds:.1f} s {sum(lines(out).values())} lines")
             finish(arguments, options.timeout)
