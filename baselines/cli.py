@@ -71,6 +71,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except UsageError as error:
         print(f"bnprl: error: {error}", file=sys.stderr)
         return 2
+    except MemoryError as error:
+        print(f"bnprl: error: not enough memory: {error or given[0]}", file=sys.stderr)
+        return 2
     except KeyboardInterrupt as end:
         print("bnprl: interrupted; the same command resumes", file=sys.stderr)
         return end.args[0] if end.args else 128 + signal.SIGINT

@@ -21,6 +21,9 @@ from baselines.own import is_own
 
 METRIC = "mean discounted return"
 
+MOST = {"seeds": 10_000, "eval_points": 10_000}
+"""Of what a slip of the finger would otherwise keep a machine busy for ever."""
+
 
 @dataclass(frozen=True)
 class Entry:
@@ -161,9 +164,9 @@ class Experiment:
         if (self.episodes is None) == (self.steps is None):
             raise ValueError("give exactly one of --episodes and --steps")
         for name in ("episodes", "steps", "seeds", "eval_episodes", "eval_points"):
-            value = getattr(self, name)
-            if value is not None and not (isinstance(value, int) and 1 <= value < 2**53):
-                raise ValueError(f"--{name.replace('_', '-')}: {value}, must lie in 1 to 2**53 - 1")
+            value, most = getattr(self, name), MOST.get(name, 2**53 - 1)
+            if value is not None and not (isinstance(value, int) and 1 <= value <= most):
+                raise ValueError(f"--{name.replace('_', '-')}: {value}, must lie in 1 to {most}")
         if self.root_seed < 0:
             raise ValueError(f"--seed: {self.root_seed}, must be at least 0")
         names = [entry.name for entry in self.entries]

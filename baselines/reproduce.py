@@ -261,7 +261,7 @@ def _short(value: float | None, digits: int = 4) -> str:
 
 def markdown(reproduction: Reproduction, tables: Sequence[Mapping[str, Any]], quick: bool) -> str:
     """Return the whole as Markdown."""
-    size = " (quick size: far fewer seeds and steps)" if quick else ""
+    size = " (quick size: far fewer seeds and steps than the notes speak of)" if quick else ""
     text = [f"# {reproduction.title}{size}", "", "![figure](figure.png)", ""]
     if _is_table(reproduction):
         text += [*_markdown_table(side_by_side(tables)), ""]

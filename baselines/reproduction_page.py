@@ -34,7 +34,11 @@ def _section(folder: Path, summary: Mapping[str, Any], *, headed: bool) -> str:
     name = escape(summary["experiment"])
     title = escape(summary["title"])
     heading = f"<h2>{title}</h2>" if headed else ""
-    size = "<p>Quick size: far fewer seeds and steps.</p>" if summary["quick"] else ""
+    size = (
+        "<p>Quick size: far fewer seeds and steps than the notes speak of.</p>"
+        if summary["quick"]
+        else ""
+    )
     picture = web_page.data((folder / "figure.png").read_bytes())
     notes = "\n".join(f"<p>{web_page.prose(note)}</p>" for note in summary["notes"])
     return f"""<section id="{name}">

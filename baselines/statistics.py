@@ -1,4 +1,4 @@
-"""Means with bootstrap intervals."""
+"""Means with intervals, by the bootstrap or, of few values, Student's."""
 
 from __future__ import annotations
 
@@ -10,6 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 CONFIDENCE = 0.95
+FEW = 5
+"""Fewer values than this get Student's interval: the percentile bootstrap of two holds the mean in
+half of all cases, of three in three quarters."""
 RESAMPLES = 9_999
 STRATIFIED_RESAMPLES = 2_000
 DRAWS = 10_000_000
@@ -28,10 +31,10 @@ class Interval:
 
 
 def mean_interval(values: npt.ArrayLike, confidence: float = CONFIDENCE, seed: int = 0) -> Interval:
-    """Return the mean of (n,) values with its percentile bootstrap interval.
+    """Return the mean of (n,) values with its percentile bootstrap interval, or Student's of `FEW`.
 
-    The percentile interval is defined for every sample of two values or more; the corrected and
-    accelerated one is not (equal values, or very few). Equal seeds give equal intervals.
+    The percentile interval is defined for every sample; the corrected and accelerated one is not
+    (equal values). Equal seeds give equal intervals.
 
     Args:
         values: independent, finite.
@@ -49,6 +52,9 @@ def mean_interval(values: npt.ArrayLike, confidence: float = CONFIDENCE, seed: i
     mean = float(sample.mean())
     if sample.size == 1:
         return Interval(mean, None, None)
+    if sample.size < FEW:
+        half = _student(sample.size, confidence) * float(sample.std(ddof=1)) / sample.size**0.5
+        return Interval(mean, mean - half, mean + half)
     low, high = _bootstrap(sample[:, None], confidence, seed)
     return Interval(mean, float(low[0]), float(high[0]))
 
@@ -83,15 +89,21 @@ def bootstrap_interval(
 def mean_band(
     curves: FloatArray, confidence: float = CONFIDENCE, seed: int = 0
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the mean of (n, points) curves and the ends of its pointwise interval.
+    """Return the mean of (n, points) curves and the ends of its pointwise bootstrap interval.
 
-    One curve alone is its own band.
+    One curve alone is its own band; that of two or three reaches from the least to the greatest.
     """
     mean = curves.mean(axis=0)
     if len(curves) == 1:
         return mean, mean, mean
     low, high = _bootstrap(curves, confidence, seed)
     return mean, low, high
+
+
+def _student(size: int, confidence: float) -> float:
+    from scipy.stats import t  # takes a second to import
+
+    return float(t.ppf((1.0 + confidence) / 2.0, size - 1))
 
 
 def _bootstrap(sample: FloatArray, confidence: float, seed: int) -> tuple[FloatArray, FloatArray]:

@@ -11,6 +11,7 @@ import io
 import json
 import math
 import os
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
@@ -33,7 +34,9 @@ _DAMAGE = (
     AttributeError,
     EOFError,
     MemoryError,
+    OverflowError,
     RuntimeError,
+    tokenize.TokenError,
     zipfile.BadZipFile,
     zlib.error,
 )

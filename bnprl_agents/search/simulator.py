@@ -138,8 +138,8 @@ def simulator_of(env: Any, discount: float) -> TeamSimulator:
     limit = horizon_of(env)
     if limit is None:
         raise ValueError(
-            "environment: has no max_episode_steps (PettingZoo: max_cycles), but the search "
-            "needs a limit"
+            f"environment: {type(env).__name__} says of no limit of steps, but the search needs "
+            "one: max_episode_steps, or an attribute max_cycles of a PettingZoo environment"
         )
     model = getattr(env, "model", None)
     if isinstance(model, TabularModel):

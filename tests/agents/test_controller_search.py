@@ -424,7 +424,7 @@ def test_bad_input_is_refused(uneven):
         agent.improve(simulate(bnprl_envs.model("bnprl/DecTiger-v0")), 100)
     with pytest.raises(ValueError, match="nodes: 0, must be at least 1"):
         ControllerSearchConfig(nodes=0)
-    with pytest.raises(ValueError, match="needs a limit"):
+    with pytest.raises(ValueError, match="but the search needs one: max_episode_steps"):
         simulator_of(TabularParallelBatch(uneven), 0.9)
     agent.reset({"agent_0": 3, "agent_1": 2})
     actions = agent.act({"agent_0": 3, "agent_1": 2})

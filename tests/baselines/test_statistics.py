@@ -2,16 +2,25 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.stats import binom
+from scipy.stats import binom, sem, t
 
 from baselines.statistics import Interval, mean_band, mean_interval
 
 
-def test_three_values_reach_from_least_to_greatest() -> None:
-    # a resample repeats one value with chance 1/27, more than the 2.5% that is cut off
+@pytest.mark.parametrize("size", [2, 3, 4, 5, 10])
+def test_intervals_of_few_values_hold_the_mean_as_often_as_they_say(size: int) -> None:
+    samples = np.random.default_rng(size).normal(size=(400, size))
+    found = [mean_interval(sample) for sample in samples]
+    held = [i.low <= 0.0 <= i.high for i in found if i.low is not None and i.high is not None]
+    assert len(held) == 400
+    assert np.mean(held) > (0.92 if size < 5 else 0.78)
+
+
+def test_the_interval_of_three_values_is_students() -> None:
     interval = mean_interval([1.0, 2.0, 4.0])
+    low, high = t.interval(0.95, 2, loc=7 / 3, scale=sem([1.0, 2.0, 4.0]))
     assert interval.mean == pytest.approx(7 / 3)
-    assert (interval.low, interval.high) == (1.0, 4.0)
+    assert (interval.low, interval.high) == pytest.approx((low, high))
 
 
 def test_interval_of_a_proportion_is_binomial() -> None:
