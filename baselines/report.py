@@ -17,7 +17,7 @@ from baselines.experiment import METRIC, Experiment
 from baselines.files import write_atomic
 from baselines.head_to_head import Pair, pairs
 from baselines.records import Record, Records, RunFiles
-from baselines.statistics import CONFIDENCE, mean_interval
+from baselines.statistics import CONFIDENCE, FEW, mean_interval
 from baselines.study import load_study, read_runs
 from bnprl_envs import registry
 
@@ -163,8 +163,9 @@ def caption(summary: Mapping[str, Any]) -> str:
         f"{summary['metric'].capitalize()} after training with a budget of {budget:,} {unit}; the "
         "table shows how much of it each agent used, in whole episodes or updates. Means over "
         f"seeds of {summary['eval_episodes']:,} evaluation episodes each, with "
-        f"{summary['confidence']:.0%} bootstrap intervals over seeds. The exact value is that of "
-        "the learned policies over an infinite horizon, computed from the model."
+        f"{summary['confidence']:.0%} intervals over seeds, Student's where they are fewer than "
+        f"{FEW}, else the bootstrap's. The exact value is that of the learned policies over an "
+        "infinite horizon, computed from the model."
     )
     if summary["unfinished_runs"]:
         text += f" {summary['unfinished_runs']} runs are not finished."
