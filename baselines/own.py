@@ -37,7 +37,7 @@ def agent_class(name: str) -> Any:
     """Return the agent of "module:class".
 
     Raises:
-        ValueError: there is none, or it is no subclass of `bnprl_agents.Agent`.
+        ValueError: there is none, or it is no whole subclass of `bnprl_agents.Agent`.
     """
     from bnprl_agents.agent import Agent
 
@@ -45,4 +45,6 @@ def agent_class(name: str) -> Any:
     found = getattr(import_module(module, name), attribute, None)
     if not (isinstance(found, type) and issubclass(found, Agent)):
         raise ValueError(f"{name}: {attribute} is no subclass of bnprl_agents.Agent")
+    if missing := sorted(getattr(found, "__abstractmethods__", ())):
+        raise ValueError(f"{name}: {attribute} lacks {', '.join(missing)}")
     return found
