@@ -154,5 +154,5 @@ def _check_header(info: zipfile.ZipInfo, member: IO[bytes]) -> None:
         shape, _, dtype = np.lib.format.read_array_header_2_0(member)
     else:
         raise ValueError(f"array format {version} in {info.filename!r}")
-    if dtype.hasobject or math.prod(shape) * dtype.itemsize > info.file_size:
+    if dtype.kind not in "biuf" or math.prod(shape) * dtype.itemsize > info.file_size:
         raise ValueError(f"array {info.filename!r} of shape {shape}, {dtype} is not plain data")
