@@ -46,7 +46,7 @@ def test_report_fails_where_a_mean_falls_short(monkeypatch, capsys):
     assert not report("us", MAZE, [[Score(9, 0.4, 1.0)]])
     lines = [line.split() for line in capsys.readouterr().out.splitlines()]
     assert [line[-1] for line in lines] == ["pass", "FAIL", "FAIL"]
-    assert lines[0][4:7] == ["0.5000", "0.4000,", "0.6000"]
+    assert lines[0][4:7] == ["0.5000", "-0.7706,", "1.7706"]  # half is t(1) = 12.7 times .1
 
 
 @pytest.fixture

@@ -94,7 +94,7 @@ def test_the_markdown_table(folder: Path) -> None:
     write_report(folder)
     lines = (folder / "summary.md").read_text().splitlines()
     assert lines[0] == "# bnprl/Hallway-v0"
-    assert "| fake | 2.333 | 1.000 to 4.000 | 2.300 | 3 | 300 | 100 | 1.5 |" in lines
+    assert "| fake | 2.333 | −1.461 to 6.128 | 2.300 | 3 | 300 | 100 | 1.5 |" in lines
     assert "| random | – | – | – | – | – | – | – |" in lines
     assert any(line.startswith("| best known (reference) | 0.514 |") for line in lines)
     assert len({line.count("|") for line in lines if line.startswith("|")}) == 1
@@ -133,7 +133,7 @@ def test_the_page_is_self_contained_and_complete(folder: Path) -> None:
     assert all(source.startswith("data:image/png;base64,") for source in page.sources)
     assert not re.search(r"https?://|url\(|@import", text)
     assert "bnprl compare X --agents &#x27;&lt;b&gt;&#x27;" in text
-    assert page.cells[:3] == ["fake", "2.333", "1.000 to 4.000"]
+    assert page.cells[:3] == ["fake", "2.333", "−1.461 to 6.128"]
     for part in ("prefers-color-scheme: dark", "<dt>gain</dt><dd>1.0</dd>", "<dt>numpy</dt>"):
         assert part in text
     assert "width=device-width" in text
