@@ -9,6 +9,7 @@ from typing import Any
 
 from baselines import web_page
 from baselines.reproduce import cells, side_by_side
+from baselines.statistics import FEW
 
 
 def page(title: str, summaries: Mapping[Path, Mapping[str, Any]]) -> str:
@@ -46,8 +47,8 @@ def _section(folder: Path, summary: Mapping[str, Any], *, headed: bool) -> str:
 <img class="paper" src="{picture}" alt="{title}; its numbers are in the tables">
 {notes}
 {_tables(name, summary)}
-<p class="faint">Italic: numbers of the source and of the registry. Intervals are 95% bootstrap
-intervals over seeds.</p>
+<p class="faint">Italic: numbers of the source and of the registry. Intervals are of 95%
+over seeds, Student's where they are fewer than {FEW}, else the bootstrap's.</p>
 <pre>{escape(summary["command"])}</pre>
 </section>"""
 

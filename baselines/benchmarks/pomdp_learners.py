@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import copy
-import dataclasses
 import sys
 import time
 from collections.abc import Sequence
@@ -143,14 +142,8 @@ def value(agent: Agent, spec: EnvironmentSpec, seed: int, episodes: int) -> floa
 
 def described(name: str, env: str, seed: int, *, shown: bool = False) -> Run:
     """A run to the goals of `GOALS`."""
-    description = {
-        "agent": name,
-        "settings": dataclasses.asdict(contender(name).settings),
-        "environment": env,
-        "seed": seed,
-        "goals": [goal.steps for goal in GOALS[env]],
-    }
-    return Run(description, partial(run, name, env, seed, shown=shown))
+    make = partial(run, name, env, seed, shown=shown)
+    return Run.of(name, env, seed, make, goals=[goal.steps for goal in GOALS[env]])
 
 
 HEADER = (

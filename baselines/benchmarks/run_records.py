@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -9,6 +10,8 @@ from typing import Any, NamedTuple
 
 from joblib import Parallel, delayed
 from tqdm import tqdm
+
+from baselines.contenders import contender
 
 
 class Score(NamedTuple):
@@ -24,6 +27,31 @@ class Run(NamedTuple):
 
     description: dict[str, Any]
     make: Callable[[], list[Score]]
+
+    @classmethod
+    def of(
+        cls, agent: str, environment: str, seed: int, make: Callable[[], list[Score]], **budget: Any
+    ) -> Run:
+        """Describe a contender's run with its default settings.
+
+        Args:
+            agent: name of the contender.
+            environment: what it learns in.
+            seed: of everything random.
+            make: trains and scores it.
+            budget: what else tells the run from others, as JSON values.
+
+        Raises:
+            ValueError: there is no such contender.
+        """
+        settings = dataclasses.asdict(contender(agent).settings)
+        description = {
+            "agent": agent,
+            "settings": settings,
+            "environment": environment,
+            "seed": seed,
+        }
+        return cls(description | budget, make)
 
 
 class Records:

@@ -5,9 +5,9 @@ POMDPs, RecurrentPPO and PPO in one run on seven environments, about an hour in 
 several at a time, and prints when each first goes 80%, 90% and 95% of the way from random play to
 the best known value: the median over the seeds, if more than half of them get there. (Shares of the
 best known value itself would say nothing where random play earns 84% of it, or where it is
-negative.) Every finished run is a
-line of the file, and is not run again. Values are means over simulated episodes, never those of
-training; the seconds are those of learning alone, after compilation, on one core each.
+negative.) Every finished run is a line of the file, and is not run again. Values are means over
+simulated episodes, never those of training; the seconds are those of learning alone, after
+compilation, on one core each.
 
 On Hallway a second table holds the strong learner against RecurrentPPO at every budget. It passes
 where the strong learner's mean value reaches the other's within the same budget, in a tenth of its
@@ -17,7 +17,6 @@ seconds; the command exits 1 where it does not.
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import sys
 import time
 from collections.abc import Sequence
@@ -222,14 +221,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def described(name: str, env: str, seed: int, steps: int, *, shown: bool) -> Run:
     """A run of `curve`."""
-    description = {
-        "agent": name,
-        "settings": dataclasses.asdict(contender(name).settings),
-        "environment": env,
-        "seed": seed,
-        "steps": steps,
-    }
-    return Run(description, partial(curve, name, env, seed, steps, shown=shown))
+    make = partial(curve, name, env, seed, steps, shown=shown)
+    return Run.of(name, env, seed, make, steps=steps)
 
 
 if __name__ == "__main__":

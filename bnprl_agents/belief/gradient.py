@@ -24,8 +24,8 @@ class Surrogate(NamedTuple):
         clip: share by which a probability may change before the step stops counting.
         entropy: weight of the policy's entropy.
         barrier: weight of -KL(uniform || policy), whose gradient is uniform - p: unlike the
-            entropy's it does not vanish with p. Agarwal et al., On the theory of policy gradient
-            methods, 2021, section 5.1.
+            entropy's it does not vanish with p. It is the log barrier of Agarwal et al., On the
+            theory of policy gradient methods, 2021.
     """
 
     advantage: FloatArray

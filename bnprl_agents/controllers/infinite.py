@@ -110,7 +110,7 @@ class InfiniteRPR(BayesianEM):
         return self.config.evidence_scale or each * self.episodes
 
     def occupancies(self, data: EpisodeBatch) -> list[FloatArray]:
-        """u0 (Z,) of each agent: rewards, in units of the mean return, shared out by the visits.
+        """Return u0 (Z,): rewards, in units of the mean return, shared out by the visits.
 
         The sentence after (2.47), a reward is allocated "in proportion to" the visits before it;
         the sum as printed counts it for each of them.

@@ -222,7 +222,11 @@ class NestedEM(ControllerAgent):
         return metrics
 
     def occupancies(self, data: EpisodeBatch) -> list[FloatArray]:
-        """u0 (Z,) of each agent, (2.47): a reward counts for every visit before it."""
+        """Return u0 (Z,) of each agent, (2.47): a reward counts for every visit before it.
+
+        Args:
+            data: the newest batch, which the statistics hold already.
+        """
         scale = self.evidence_episodes(data)
         return [scale * counts.action.sum(axis=1) for counts in self.statistics]
 
