@@ -66,16 +66,17 @@ class DiscreteSpaces:
         """Values (n,) that all agents share: reward, terminated or truncated.
 
         Raises:
-            ValueError: they differ between agents.
+            ValueError: they differ between agents, or are not one for each copy.
         """
         if not isinstance(value, Mapping):
-            return np.atleast_1d(np.asarray(value, dtype=dtype))
-        columns = [
-            np.atleast_1d(np.asarray(value[agent], dtype=dtype)) for agent in self.agents or ()
-        ]
-        if any((column != columns[0]).any() for column in columns):
+            given = np.atleast_1d(np.asarray(value, dtype=dtype))
+            if given.ndim != 1:
+                raise ValueError(f"{name}: shape {given.shape}, must be one for each copy, (n,)")
+            return given
+        rows = self._stacked(name, value).astype(dtype)
+        if (rows != rows[:, :1]).any():
             raise ValueError(f"{name}: differs between agents, but a team shares it: {dict(value)}")
-        return columns[0]
+        return rows[:, 0]
 
     def reward(self, value: Any) -> FloatArray:
         """Team rewards (n,).
@@ -94,12 +95,8 @@ class DiscreteSpaces:
         return flags
 
     def _indices(self, name: str, value: Any, spaces: list[gym.spaces.Discrete]) -> IntArray:
-        if self.agents is None:
-            value = np.atleast_1d(np.asarray(value))[:, None]
-        elif isinstance(value, Mapping):
-            value = np.stack([np.atleast_1d(value[agent]) for agent in self.agents], axis=1)
         starts = np.array([space.start for space in spaces])
-        indices: IntArray = np.atleast_2d(_integers(name, value)) - starts
+        indices: IntArray = _integers(name, self._rows(name, value)) - starts
         outside = (indices < 0) | (indices >= [space.n for space in spaces])
         if outside.any():
             copy, agent = np.argwhere(outside)[0]
@@ -108,6 +105,27 @@ class DiscreteSpaces:
                 f"outside {spaces[agent]}"
             )
         return indices
+
+    def _rows(self, name: str, value: Any) -> Any:
+        """A value as the environment gave it, as an array (n, N)."""
+        given = np.asarray(self._stacked(name, value) if isinstance(value, Mapping) else value)
+        rows = np.atleast_1d(given)[:, None] if self.agents is None else np.atleast_2d(given)
+        n_agents = len(self.action_sizes)
+        if rows.ndim != 2 or rows.shape[1] != n_agents:
+            team = f"({n_agents},) or (n, {n_agents})"
+            form = "a number or (n,)" if self.agents is None else team
+            raise ValueError(f"{name}: shape {given.shape}, must be {form}")
+        return rows
+
+    def _stacked(self, name: str, value: Mapping[str, Any]) -> Any:
+        """A dict from agent to a value or (n,) of them, as an array (n, N)."""
+        if self.agents is None or set(value) != set(self.agents):
+            wanted = ", ".join(self.agents) if self.agents else "none: there is one agent"
+            raise ValueError(f"{name}: of agents {', '.join(map(str, value))}, must be {wanted}")
+        columns = [np.atleast_1d(value[agent]) for agent in self.agents]
+        if len({column.shape for column in columns}) > 1:
+            raise ValueError(f"{name}: shapes differ between agents")
+        return np.stack(columns, axis=1)
 
 
 def _is_team(space: Any) -> bool:

@@ -9,6 +9,7 @@ import gymnasium as gym
 import numpy as np
 
 from bnprl_agents.episodes import FloatArray
+from bnprl_agents.settings import check_entries
 
 
 class Features:
@@ -72,7 +73,13 @@ class Features:
         if isinstance(self.space, gym.spaces.Discrete):
             rows: FloatArray = self.points[self._cells(observation, self.space)]
             return rows
-        array = np.asarray(observation, dtype=np.float64).reshape(-1, self.dimensions)
+        array = np.asarray(observation, dtype=np.float64)
+        shape = self.space.shape or ()
+        if array.shape[max(array.ndim - len(shape), 0) :] != shape or array.ndim > len(shape) + 1:
+            raise ValueError(
+                f"observation: shape {array.shape}, must be {shape}, or have copies in front of it"
+            )
+        array = array.reshape(-1, self.dimensions)
         if not np.isfinite(array).all():
             raise ValueError(f"observation: {array[~np.isfinite(array)][0]}, must be finite")
         return (array - self.offset) / self.range
@@ -103,6 +110,7 @@ class Features:
 
 def _cell_points(n: int, columns: int) -> FloatArray:
     if columns == 0:
+        check_entries("observation_space", n, n)
         return np.eye(n)
     return np.stack(np.divmod(np.arange(n), columns), axis=1).astype(np.float64)
 

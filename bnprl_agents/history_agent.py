@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bnprl_agents.agent import Agent, Metrics
+from bnprl_agents.copies import check_copies, require_alive
 from bnprl_agents.discrete import DiscreteSpaces
 from bnprl_agents.episodes import BoolArray, EpisodeBatch, FloatArray, IntArray
 from bnprl_agents.policy_files import Arrays
@@ -162,7 +163,8 @@ class HistoryAgent(Agent):
 
     def act(self, observation: Any) -> Any:
         """Sample actions from the policy that explores; see `Agent.act`."""
-        self._require_alive()
+        require_alive(self._alive)
+        check_copies(len(self._alive), observation=self.spaces.observations(observation)[:, 0])
         chosen = np.stack([_sample(p, self.rng) for p in self.behaviour_probabilities()], axis=1)
         return self.spaces.external_actions(chosen, observation)
 
@@ -170,12 +172,20 @@ class HistoryAgent(Agent):
         self, action: Any, reward: Any, observation: Any, terminated: Any, truncated: Any
     ) -> None:
         """Record one transition with its behaviour probability; see `Agent.observe`."""
-        self._require_alive()
+        require_alive(self._alive)
         actions, seen = self.spaces.actions(action), self.spaces.observations(observation)
         rewards = self.spaces.reward(reward)
-        self.check_reward(float(rewards.min()))
         ended = self.spaces.flag("terminated", terminated)
         cut = self.spaces.flag("truncated", truncated)
+        check_copies(
+            len(self._alive),
+            action=actions[:, 0],
+            reward=rewards,
+            observation=seen[:, 0],
+            terminated=ended,
+            truncated=cut,
+        )
+        self.check_reward(float(rewards.min()))
         copies = np.arange(len(actions))
         behaviour = np.stack(
             [p[copies, actions[:, n]] for n, p in enumerate(self.behaviour_probabilities())], axis=1
@@ -224,6 +234,7 @@ class HistoryAgent(Agent):
         fresh = np.zeros(len(seen), dtype=np.bool_)
         if episode_start is not None:
             fresh |= np.asarray(episode_start, dtype=np.bool_)
+        check_copies(len(seen), state=state.action[:, 0])
         last = (state.belief,) if isinstance(state.belief, np.ndarray) else state.belief
         return [
             np.where(fresh[:, None], first, after)
@@ -242,12 +253,6 @@ class HistoryAgent(Agent):
         self._belief = [arrays[f"belief_{n}"] for n in team if f"belief_{n}" in arrays]
         self._seen, self._alive = arrays["seen"], arrays["alive"]
         self._recorder.restore(arrays)
-
-    def _require_alive(self) -> None:
-        if not self._alive.size or not self._alive.all():
-            raise RuntimeError(
-                "an episode has ended or none has begun: call reset(observation, mask) first"
-            )
 
 
 def _sample(probabilities: FloatArray, rng: np.random.Generator) -> IntArray:

@@ -141,8 +141,12 @@ def _read_archive(data: bytes) -> Arrays:
         for info in archive.infolist():
             with archive.open(info) as member:
                 _check_header(info, member)
-    with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
-        return {name: arrays[name] for name in arrays.files}
+    with np.load(io.BytesIO(data), allow_pickle=False) as members:
+        arrays = {name: members[name] for name in members.files}
+    for name, array in arrays.items():
+        if not np.isfinite(array).all():
+            raise ValueError(f"{name!r} holds {array[~np.isfinite(array)][0]}")
+    return arrays
 
 
 def _check_header(info: zipfile.ZipInfo, member: IO[bytes]) -> None:

@@ -9,6 +9,7 @@ import gymnasium as gym
 import numpy as np
 
 from bnprl_agents.agent import Agent, Metrics
+from bnprl_agents.copies import check_copies, require_alive
 from bnprl_agents.episodes import BoolArray, FloatArray, IntArray
 from bnprl_agents.features import Features
 from bnprl_agents.policy_files import Arrays
@@ -129,10 +130,9 @@ class ValueAgent(Agent):
 
     def act(self, observation: Any) -> Any:
         """Act greedily, or with probability epsilon at random; see `Agent.act`."""
-        self._require_alive()
+        require_alive(self._alive)
         points = self.features(observation)
-        if len(points) != len(self._alive):
-            raise ValueError(f"observation: of {len(points)} copies, must be {len(self._alive)}")
+        check_copies(len(self._alive), observation=points[:, 0])
         chosen = _best(self.behaviour_values(points), self.rng)
         exploring = self.rng.random(len(chosen)) < self.exploring_probability()
         random = self.rng.integers(self.n_actions, size=len(chosen))
@@ -142,19 +142,23 @@ class ValueAgent(Agent):
         self, action: Any, reward: Any, observation: Any, terminated: Any, truncated: Any
     ) -> None:
         """Record one transition of every copy; see `Agent.observe`."""
-        self._require_alive()
+        require_alive(self._alive)
         rewards = np.atleast_1d(np.asarray(reward, dtype=np.float64))
         if not np.isfinite(rewards).all():
             raise ValueError(f"reward: {rewards[~np.isfinite(rewards)][0]}, must be finite")
         points, ended = self.features(observation), np.atleast_1d(np.asarray(terminated, bool))
-        self._pending.append(
-            Transitions(self._points, self._indices(action), rewards, points, ended)
+        actions, cut = self._indices(action), np.atleast_1d(np.asarray(truncated, bool))
+        check_copies(
+            len(self._alive),
+            action=actions,
+            reward=rewards,
+            observation=points[:, 0],
+            terminated=ended,
+            truncated=cut,
         )
-        if any(len(part) != len(self._alive) for part in self._pending[-1]):
-            self._pending.pop()
-            raise ValueError(f"a transition of {len(self._alive)} copies is wanted")
+        self._pending.append(Transitions(self._points, actions, rewards, points, ended))
         self._points = points.copy()
-        self._alive = ~(ended | np.atleast_1d(np.asarray(truncated, bool)))
+        self._alive = ~(ended | cut)
 
     def update(self) -> Metrics:
         """Learn from every transition observed since the last update; see `Agent.update`."""
@@ -211,12 +215,6 @@ class ValueAgent(Agent):
     def _external(self, indices: IntArray, observation: Any) -> Any:
         actions = indices + self._first_action
         return actions if self.features.batched(observation) else int(actions[0])
-
-    def _require_alive(self) -> None:
-        if not self._alive.size or not self._alive.all():
-            raise RuntimeError(
-                "an episode has ended or none has begun: call reset(observation, mask) first"
-            )
 
 
 def taken(arrays: Arrays, name: str, shape: tuple[int, ...]) -> FloatArray:

@@ -12,6 +12,7 @@ import numpy as np
 
 from bnprl_agents.controllers.controller import normalised
 from bnprl_agents.episodes import FloatArray, IntArray
+from bnprl_agents.settings import check_entries
 from bnprl_agents.softmax import softmax
 
 
@@ -149,7 +150,14 @@ UNDECIDED = 0.1
 def random_logits(
     n_states: int, n_memory: int, n_actions: int, n_observations: int, rng: np.random.Generator
 ) -> Logits:
-    """Draw standard normal logits; those of the actions are small, so that all are tried."""
+    """Draw standard normal logits; those of the actions are small, so that all are tried.
+
+    Raises:
+        ValueError: a table would be larger than `bnprl_agents.settings.MOST_ENTRIES`.
+    """
+    for name, size in (("states", n_states), ("memory", n_memory)):
+        check_entries(name, n_actions, size, size + 1)
+        check_entries(name, n_observations, size)
     model, memory = (
         _random_filter(size, n_actions, n_observations, rng) for size in (n_states, n_memory)
     )

@@ -12,6 +12,7 @@ import numpy as np
 
 from bnprl_agents.controllers.controller import Controller
 from bnprl_agents.episodes import FloatArray
+from bnprl_agents.settings import check_entries
 from bnprl_agents.softmax import softmax
 
 
@@ -50,7 +51,11 @@ def random_logits(
         n_observations: O.
         spread: standard deviation of `sight`; large values make the nodes tell observations apart.
         rng: source of the draws.
+
+    Raises:
+        ValueError: the controller would be larger than `bnprl_agents.settings.MOST_ENTRIES`.
     """
+    check_entries("nodes", n_actions, n_observations, n_nodes, n_nodes)
     return AdditiveLogits(
         initial=rng.normal(size=(n_observations, n_nodes)),
         action=0.1 * rng.normal(size=(n_nodes, n_actions)),

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from bnprl_agents.episodes import FloatArray, IntArray
+from bnprl_agents.settings import check_entries
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +98,12 @@ def normalised(rows: FloatArray) -> FloatArray:
 
 
 def uniform_controller(n_actions: int, n_observations: int) -> Controller:
-    """One node that chooses uniformly among the actions."""
+    """One node that chooses uniformly among the actions.
+
+    Raises:
+        ValueError: a table would be larger than `bnprl_agents.settings.MOST_ENTRIES`.
+    """
+    check_entries("observation_space", n_actions, n_observations)
     return Controller(
         initial=np.ones((n_observations, 1)),
         action=np.full((1, n_actions), 1.0 / n_actions),
@@ -121,7 +127,11 @@ def random_controller(
         rng: source of the draws.
         successor_concentration: parameter of the successor rows' Dirichlet; 1 is uniform over
             the simplex, small values give nearly deterministic rows, which remember longer.
+
+    Raises:
+        ValueError: a table would be larger than `bnprl_agents.settings.MOST_ENTRIES`.
     """
+    check_entries("nodes", n_actions, n_observations, n_nodes, n_nodes)
 
     def rows(*shape: int, concentration: float = 1.0) -> FloatArray:
         gamma = rng.gamma(concentration, size=shape)

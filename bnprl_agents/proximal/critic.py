@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bnprl_agents.episodes import EpisodeBatch, FloatArray, IntArray
+from bnprl_agents.settings import check_entries
 
 
 class Cells(NamedTuple):
@@ -62,7 +63,12 @@ class Critic(NamedTuple):
 
     @staticmethod
     def begin(n_cells: int, n_nodes: int) -> Critic:
-        """No evidence: every value is 0."""
+        """No evidence: every value is 0.
+
+        Raises:
+            ValueError: a table would be larger than `bnprl_agents.settings.MOST_ENTRIES`.
+        """
+        check_entries("critic", n_cells, n_nodes, n_nodes)
         return Critic(
             np.zeros((n_cells, n_nodes)),
             np.zeros((n_cells, n_nodes, n_nodes)),
