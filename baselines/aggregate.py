@@ -6,12 +6,16 @@ import dataclasses
 import io
 import json
 from collections.abc import Mapping, Sequence
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
+from matplotlib.figure import Figure
 
+from baselines import web_page
+from baselines.curves import COLOURS, DARK, LIGHT, STYLES, Ground, dress
 from baselines.files import write_atomic
 from baselines.head_to_head import interquartile_mean, pairs, performance_profile
 from baselines.records import RecordError
@@ -28,6 +32,12 @@ Scores = dict[str, dict[str, FloatArray]]
 """Contender -> environment -> (n,) score of each run, 0 as random and 1 as the best known."""
 
 THRESHOLDS = np.linspace(-0.25, 1.1, 136)
+MEANING = (
+    "The interquartile mean leaves out the best and the worst quarter of the runs. Intervals are "
+    "the bootstrap's over runs within environments; p-values are of two-sided permutation tests, "
+    "corrected by Holm for the number of pairs."
+)
+NO_PAIRS = "Who beats whom takes two agents that have finished runs in every folder."
 HEADER = ["agent", "interquartile mean", "95% interval", "mean", "runs"]
 
 
@@ -38,16 +48,42 @@ def aggregate(options: Aggregate) -> int:
         summary = summarise(scores)
         options.out.mkdir(parents=True, exist_ok=True)
         write_atomic(options.out / "summary.json", json.dumps(summary, indent=2) + "\n")
-        write_atomic(options.out / "profiles.png", draw_profiles(scores))
-    environments = summary["environments"]
-    print(f"scores (0 random, 1 best known) over {len(environments)}: {', '.join(environments)}")
-    print_table([HEADER, *(_cells(row) for row in summary["rows"])])
-    if summary["pairs"]:
-        print_table(pair_table(summary["pairs"]))
-    else:
-        print("who beats whom takes two agents that have finished runs in every folder")
+        light, dark = draw_profiles(scores, LIGHT), draw_profiles(scores, DARK)
+        write_atomic(options.out / "profiles.png", light)
+        write_atomic(options.out / "report.html", page(summary, light, dark))
+    print(caption(summary))
+    print_table(table(summary))
+    print_table(pair_table(summary["pairs"])) if summary["pairs"] else print(NO_PAIRS)
     print(f"performance profiles: {options.out / 'profiles.png'}")
+    print(f"report: {options.out / 'report.html'}")
     return 0
+
+
+def page(summary: Mapping[str, Any], light: bytes, dark: bytes) -> str:
+    """Return the page (HTML) of a summary.
+
+    Args:
+        summary: of the scores.
+        light: the performance profiles (PNG) on a light ground.
+        dark: the same on a dark one.
+    """
+    pairs = pair_table(summary["pairs"])
+    head_to_head = web_page.table("pairs", pairs) if len(pairs) > 1 else f"<p>{NO_PAIRS}</p>"
+    count = len(summary["environments"])
+    body = f"""<p>{escape(caption(summary))}</p>
+<p>{MEANING}</p>
+{web_page.table("scores", table(summary))}
+<h2>Head to head</h2>
+{head_to_head}
+<h2>Performance profiles</h2>
+{web_page.picture(light, dark, "Share of runs above each score; the means are in the table")}"""
+    return web_page.document(f"Agents over {count} environments", body)
+
+
+def caption(summary: Mapping[str, Any]) -> str:
+    """Return of what the scores are."""
+    found = summary["environments"]
+    return f"Scores (0 random, 1 best known) over {len(found)}: {', '.join(found)}."
 
 
 def read_scores(folders: Sequence[Path]) -> Scores:
@@ -110,6 +146,11 @@ def summarise(scores: Scores) -> dict[str, Any]:
     }
 
 
+def table(summary: Mapping[str, Any]) -> list[list[str]]:
+    """Return the cells of the table of scores, header first."""
+    return [HEADER, *(_cells(row) for row in summary["rows"])]
+
+
 def _cells(row: Mapping[str, Any]) -> list[str]:
     low, high = number(row["ci_low"], ".3f"), number(row["ci_high"], ".3f")
     return [
@@ -121,13 +162,9 @@ def _cells(row: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def draw_profiles(scores: Scores) -> bytes:
-    """Return a picture (PNG): share of runs above each score."""
-    from matplotlib.figure import Figure
-
-    from baselines.curves import COLOURS, STYLES, dress
-
-    figure = Figure(figsize=(7.5, 4.6), layout="constrained")
+def draw_profiles(scores: Scores, ground: Ground) -> bytes:
+    """Return a picture (PNG) on some ground: share of runs above each score."""
+    figure = Figure(figsize=(7.5, 4.6), facecolor=ground.paper, layout="constrained")
     axes = figure.subplots()
     for index, (name, of) in enumerate(scores.items()):
         profile = performance_profile(list(of.values()), THRESHOLDS)
@@ -142,10 +179,11 @@ def draw_profiles(scores: Scores) -> bytes:
     axes.set(
         xlabel="normalised score s (0 random, 1 best known)",
         ylabel="share of runs above s",
-        title=f"Performance profiles over {len(next(iter(scores.values())))} environments",
     )
-    axes.legend(frameon=False)
-    dress(axes, "#1f2328", "#ffffff")
+    count = len(next(iter(scores.values())))
+    axes.set_title(f"Performance profiles over {count} environments", color=ground.ink)
+    axes.legend(frameon=False, labelcolor=ground.ink)
+    dress(axes, ground)
     picture = io.BytesIO()
     figure.savefig(picture, format="png", dpi=130, metadata={"Software": None})
     return picture.getvalue()

@@ -75,7 +75,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"bnprl: error: not enough memory: {error or given[0]}", file=sys.stderr)
         return 2
     except KeyboardInterrupt as end:
-        print("bnprl: interrupted; the same command resumes", file=sys.stderr)
+        kept = COMMANDS[given[0]][0] in RECORDING if given and given[0] in COMMANDS else False
+        print(f"bnprl: interrupted{'; the same command resumes' * kept}", file=sys.stderr)
         return end.args[0] if end.args else 128 + signal.SIGINT
 
 

@@ -18,9 +18,14 @@ from baselines.experiment import Entry, Experiment, configured_entries
 from baselines.files import FolderInUseError, folder_lock
 from baselines.learners import AgentLearner, build_learner
 from baselines.records import RecordError, RunFiles
-from baselines.report import finished_runs, print_table, table, write_report
+from baselines.report import (
+    finished_runs,
+    name_failures,
+    print_table,
+    table,
+    write_report,
+)
 from baselines.sb3_checks import check_served
-from baselines.status import failure
 from baselines.study import is_reproduction, load_study, open_study, read_runs, study_folders
 from baselines.usage import usage_errors
 from baselines.workers import EngineError, Workers
@@ -192,7 +197,7 @@ def conduct(
                 tensorboard=tensorboard,
                 progress=progress,
             )
-        code = _name_failures(failed)
+        code = _print_failures(failed)
         _name_idle(experiment, folder)
         _report(folder)
     return code
@@ -206,12 +211,12 @@ def _locked(folder: Path) -> Iterator[None]:
         yield
 
 
-def _name_failures(failed: Sequence[RunFiles]) -> int:
+def _print_failures(failed: Sequence[RunFiles]) -> int:
     if not failed:
         return 0
-    names = ", ".join(files.name for files in failed)
+    reasons = {files.name: files.failure() for files in failed}
     print(
-        f"bnprl: error: failed: {names} ({failure(failed[0])}); traceback in {failed[0].error}; "
+        f"bnprl: error: {name_failures(reasons)}; traceback in {failed[0].error}; "
         "the same command tries again",
         file=sys.stderr,
     )

@@ -14,8 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, FancyArrowPatch, Patch
 
-from baselines.curves import COLOURS, dress, newest, thousands
-from baselines.figures import INK, PAPER
+from baselines.curves import COLOURS, LIGHT, dress, newest, thousands
 from baselines.records import Record
 from bnprl_agents.controllers.controller import Controller
 from bnprl_agents.controllers.messages import forward
@@ -90,7 +89,7 @@ def draw_controllers(
     curves = {label: points for label, points in curves.items() if len(points) > 1}
     n = len(controllers)
     figure = Figure(
-        figsize=(8.4 * n, 8.6 if curves else 6.8), facecolor=PAPER, layout="constrained"
+        figsize=(8.4 * n, 8.6 if curves else 6.8), facecolor=LIGHT.paper, layout="constrained"
     )
     heights = [6.0, 1.6] if curves else [6.0]
     top, *below = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False).ravel()
@@ -100,13 +99,13 @@ def draw_controllers(
         words = (*names.observations[agent], "start")
         draw_graph(axes, used, names.actions[agent], words)
         if n > 1:
-            axes.set_title(f"agent_{agent}", color=INK, fontsize=11)
+            axes.set_title(f"agent_{agent}", color=LIGHT.ink, fontsize=11)
     for part in below:
         for axes, (label, points) in zip(
             part.subplots(1, len(curves), squeeze=False).ravel(), curves.items(), strict=True
         ):
             _draw_curve(axes, label, points)
-    figure.suptitle(title, color=INK, fontsize=13)
+    figure.suptitle(title, color=LIGHT.ink, fontsize=13)
     picture = io.BytesIO()
     figure.savefig(picture, format="png", dpi=120, metadata={"Software": None})
     return picture.getvalue()
@@ -145,7 +144,7 @@ def draw_graph(
             ha="center",
             va="center",
             fontsize=8,
-            color=INK,
+            color=LIGHT.ink,
             zorder=4,
         )
     _dress_graph(axes, action_names, {observation_names[o]: c for o, c in colours.items()})
@@ -203,7 +202,7 @@ def _draw_move(
         )
     )
     where = (float(label[0]), float(label[1]))
-    axes.annotate(text, where, ha="center", va="center", fontsize=7, color=INK, zorder=5)
+    axes.annotate(text, where, ha="center", va="center", fontsize=7, color=LIGHT.ink, zorder=5)
 
 
 def _dress_graph(axes: Axes, action_names: Sequence[str], observations: dict[str, str]) -> None:
@@ -226,7 +225,7 @@ def _dress_graph(axes: Axes, action_names: Sequence[str], observations: dict[str
 def _draw_curve(axes: Axes, label: str, points: Sequence[tuple[int, float]]) -> None:
     steps, values = zip(*points, strict=True)
     axes.plot(steps, values, color=COLOURS[0], linewidth=1.8, marker="o", markersize=3)
-    dress(axes, INK, PAPER)
+    dress(axes, LIGHT)
     axes.set_ylabel(label, fontsize=9)
     axes.set_xlabel("environment steps of training", fontsize=9)
     axes.set_ylim(0.0, 1.08 * max(values) or 1.0)

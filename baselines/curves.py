@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import zlib
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +21,16 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 STYLES = ("-", "--", "-.", ":")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 GRID = 200
+
+
+class Ground(NamedTuple):
+    """What a picture is drawn on, and the colour of its axes and words."""
+
+    ink: str
+    paper: str
+
+
+LIGHT, DARK = Ground("#1f2328", "#ffffff"), Ground("#e6e6e6", "#16181c")
 LABEL_HEIGHT = 0.045
 """Least distance of two labels, in heights of the axes."""
 WIDE_RANGE = 20.0
@@ -31,8 +41,7 @@ def draw_curves(
     experiment: Experiment,
     curves: Mapping[str, Sequence[Sequence[Record]]],
     references: Sequence[Mapping[str, Any]],
-    *,
-    dark: bool = False,
+    ground: Ground,
 ) -> bytes:
     """Return a picture (PNG) of the learning curves.
 
@@ -40,9 +49,9 @@ def draw_curves(
         experiment: whose curves.
         curves: contender -> the records of each finished run.
         references: rows of the summary, drawn as horizontal lines.
-        dark: light lines on a dark ground.
+        ground: what they are drawn on.
     """
-    ink, paper = ("#e6e6e6", "#16181c") if dark else ("#1f2328", "#ffffff")
+    ink, paper = ground
     figure = Figure(figsize=(11, 5.2), facecolor=paper, layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True)
     for axes, field in ((left, "steps"), (right, "train_seconds")):
@@ -50,7 +59,7 @@ def draw_curves(
             if runs:
                 _draw(axes, name, index, runs, field, experiment)
         _draw_references(axes, references, ink)
-        dress(axes, ink, paper)
+        dress(axes, ground)
     _label_references(right, references, ink)
     left.set(xlabel="environment steps of training", ylabel=METRIC)
     left.xaxis.set_major_formatter(lambda value, _: thousands(value))
@@ -156,8 +165,9 @@ def _label_references(axes: Axes, references: Sequence[Mapping[str, Any]], ink: 
         axes.annotate(text, (1.0, height), xycoords="axes fraction", va="center", color=ink, size=9)
 
 
-def dress(axes: Axes, ink: str, paper: str) -> None:
+def dress(axes: Axes, ground: Ground) -> None:
     """Give axes the colours, the grid and the two spines of all pictures."""
+    ink, paper = ground
     axes.set_facecolor(paper)
     axes.grid(color=ink, alpha=0.12, linewidth=0.7)
     axes.tick_params(colors=ink, which="both")

@@ -13,11 +13,10 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import LogLocator, NullFormatter, SymmetricalLogLocator
 
-from baselines.curves import COLOURS, MARKERS, STYLES, dress, thousands
+from baselines.curves import COLOURS, MARKERS, STYLES, Ground, dress, thousands
 from baselines.reproduction import Comparison, Computation, Lines, Reproduction
 from baselines.statistics import mean_band
 
-INK, PAPER = "#1f2328", "#ffffff"
 X_LABELS = {"steps": "environment steps of training", "episodes": "episodes of training"}
 LARGEST = 1e12
 """Beyond, a diverging line is cut off at the top of the axes."""
@@ -26,7 +25,10 @@ LINEAR = 10.0
 
 
 def draw(
-    reproduction: Reproduction, lines: Sequence[Lines], tables: Sequence[Mapping[str, Any]]
+    reproduction: Reproduction,
+    lines: Sequence[Lines],
+    tables: Sequence[Mapping[str, Any]],
+    ground: Ground,
 ) -> bytes:
     """Return the picture (PNG) of curves.
 
@@ -34,30 +36,32 @@ def draw(
         reproduction: what the panels are called.
         lines: of each panel.
         tables: of each panel its rows, whose references are drawn where they are near the curves.
+        ground: what it is drawn on.
     """
     n = len(reproduction.panels)
     columns = min(n, reproduction.columns)
     rows = -(-n // columns)
     width = 1.5 + 4.6 * columns
-    figure = Figure(figsize=(width, 4.6 * rows), facecolor=PAPER, layout="constrained")
+    figure = Figure(figsize=(width, 4.6 * rows), facecolor=ground.paper, layout="constrained")
     every = figure.subplots(rows, columns, squeeze=False).ravel()
     for axes in every[n:]:
         axes.set_visible(False)
     labels = list(dict.fromkeys(label for found in lines for label in found))
     handles: dict[str, Any] = {}
     for axes, panel, found, table in zip(every, reproduction.panels, lines, tables, strict=False):
-        handles |= draw_panel(axes, panel, found, labels)
-        draw_references(axes, [row for row in table["rows"] if row["source"] is not None])
+        handles |= draw_panel(axes, panel, found, labels, ground)
+        known = [row for row in table["rows"] if row["source"] is not None]
+        draw_references(axes, known, ground)
     figure.legend(
         handles.values(),
         handles,
         loc="outside lower center",
         ncols=max(1, min(4, len(handles), int(width / _legend_width(labels)))),
         frameon=False,
-        labelcolor=INK,
+        labelcolor=ground.ink,
         handlelength=3.0,
     )
-    figure.suptitle(reproduction.title, color=INK, fontsize=13)
+    figure.suptitle(reproduction.title, color=ground.ink, fontsize=13)
     return _png(figure)
 
 
@@ -66,7 +70,7 @@ def _legend_width(labels: Sequence[str]) -> float:
     return 1.0 + 0.09 * max(map(len, labels), default=0)
 
 
-def draw_references(axes: Axes, rows: Sequence[Mapping[str, Any]]) -> None:
+def draw_references(axes: Axes, rows: Sequence[Mapping[str, Any]], ground: Ground) -> None:
     """Draw horizontal lines with their names, those far from the curves left out.
 
     Lines too close for a name each have theirs together above the highest.
@@ -77,7 +81,7 @@ def draw_references(axes: Axes, rows: Sequence[Mapping[str, Any]]) -> None:
     for row in sorted(rows, key=lambda row: float(row["mean"])):
         value = float(row["mean"])
         if low - room <= value <= high + room and (value > 0.0 or axes.get_yscale() != "log"):
-            axes.axhline(value, color=INK, linewidth=0.9, linestyle=(0, (1, 2)), alpha=0.75)
+            axes.axhline(value, color=ground.ink, linewidth=0.9, linestyle=(0, (1, 2)), alpha=0.75)
             near = max(named, default=-np.inf)
             together = [named.pop(near)] if value - near < 0.045 * (high - low) else []
             named[value] = ", ".join([*together, row["agent"]])
@@ -88,42 +92,49 @@ def draw_references(axes: Axes, rows: Sequence[Mapping[str, Any]]) -> None:
             xycoords=("axes fraction", "data"),
             va="bottom",
             fontsize=6.5,
-            color=INK,
-            path_effects=[withStroke(linewidth=2.0, foreground=PAPER)],
+            color=ground.ink,
+            path_effects=[withStroke(linewidth=2.0, foreground=ground.paper)],
         )
 
 
-def draw_table(reproduction: Reproduction, tables: Sequence[Mapping[str, Any]]) -> bytes:
+def draw_table(
+    reproduction: Reproduction, tables: Sequence[Mapping[str, Any]], ground: Ground
+) -> bytes:
     """Return the picture (PNG) of last values side by side, references below contenders.
 
     Args:
         reproduction: what the whole is called.
         tables: of each panel its title, its measure and its rows.
+        ground: what it is drawn on.
     """
+    every_row = [row for panel in tables for row in panel["rows"]]
+    labels = list(dict.fromkeys(row["agent"] for row in every_row if row["source"] is None))
     tallest = max(len(panel["rows"]) for panel in tables)
     columns = min(len(tables), reproduction.columns)
     rows = -(-len(tables) // columns)
     figure = Figure(
         figsize=(5.2 * columns, rows * (1.3 + 0.27 * tallest)),
-        facecolor=PAPER,
+        facecolor=ground.paper,
         layout="constrained",
     )
     every = figure.subplots(rows, columns, squeeze=False).ravel()
     for axes in every[len(tables) :]:
         axes.set_visible(False)
     for axes, panel in zip(every, tables, strict=False):
-        _draw_values(axes, panel["rows"])
-        axes.set_title(panel["title"], color=INK, fontsize=11)
+        _draw_values(axes, panel["rows"], labels, ground)
+        axes.set_title(panel["title"], color=ground.ink, fontsize=11)
         axes.set_xlabel(panel["measure"])
-    figure.suptitle(reproduction.title, color=INK, fontsize=13)
+    figure.suptitle(reproduction.title, color=ground.ink, fontsize=13)
     return _png(figure)
 
 
-def _draw_values(axes: Axes, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Draw one mean a line with its interval; references are hollow."""
+def _draw_values(
+    axes: Axes, rows: Sequence[Mapping[str, Any]], labels: Sequence[str], ground: Ground
+) -> None:
+    """Draw one mean a line with its interval, coloured by its label; references are hollow."""
     for y, row in enumerate(rows):
         known = row["source"] is not None
-        colour = INK if known else COLOURS[y % len(COLOURS)]
+        colour = ground.ink if known else COLOURS[labels.index(row["agent"]) % len(COLOURS)]
         if row["ci_low"] is not None:
             axes.plot([row["ci_low"], row["ci_high"]], [y, y], color=colour, linewidth=2.5)
         axes.plot(
@@ -131,14 +142,14 @@ def _draw_values(axes: Axes, rows: Sequence[Mapping[str, Any]]) -> None:
             y,
             "D" if known else "o",
             color=colour,
-            markerfacecolor=PAPER if known else colour,
+            markerfacecolor=ground.paper if known else colour,
             markersize=6,
         )
-    dress(axes, INK, PAPER)
+    dress(axes, ground)
     axes.locator_params(axis="x", nbins=6)
     axes.xaxis.set_major_formatter(lambda value, _: thousands(value))
     labels = [row["agent"] for row in rows]
-    axes.set_yticks(range(len(rows)), labels, fontsize=8, color=INK)
+    axes.set_yticks(range(len(rows)), labels, fontsize=8, color=ground.ink)
     axes.set_ylim(len(rows) - 0.4, -0.6)
 
 
@@ -149,7 +160,11 @@ def _png(figure: Figure) -> bytes:
 
 
 def draw_panel(
-    axes: Axes, panel: Comparison | Computation, lines: Lines, labels: Sequence[str]
+    axes: Axes,
+    panel: Comparison | Computation,
+    lines: Lines,
+    labels: Sequence[str],
+    ground: Ground,
 ) -> dict[str, Any]:
     """Draw the lines of a panel, each as its place among the labels of all panels says.
 
@@ -175,8 +190,8 @@ def draw_panel(
             markersize=5,
             markevery=max(1, len(x) // 8),
         )
-    dress(axes, INK, PAPER)
-    axes.set_title(panel.title, color=INK, fontsize=11)
+    dress(axes, ground)
+    axes.set_title(panel.title, color=ground.ink, fontsize=11)
     if panel.logarithmic:
         _logarithmic_upwards(axes, min((float(y.min()) for _, y in lines.values()), default=1.0))
     axes.set_ylabel(panel.y if isinstance(panel, Computation) else panel.measure.label)

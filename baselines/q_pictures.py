@@ -13,11 +13,11 @@ from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from baselines.curves import COLOURS, dress
+from baselines.curves import COLOURS, LIGHT, dress
 from bnprl_agents.gaussian_process.gp_q import GPQ
 from bnprl_agents.value_learner import ValueAgent
 
-INK, PAPER = "#1f2328", "#ffffff"
+INK = LIGHT.ink
 RESOLUTION = 60
 ARROWS = 15
 """Arrows along each side of a plane that is continuous."""
@@ -88,7 +88,7 @@ def draw_values(
     plane = Plane(agent)
     uncertain = isinstance(agent, GPQ)
     figure = Figure(
-        figsize=(16.5 if uncertain else 11.0, 5.0), facecolor=PAPER, layout="constrained"
+        figsize=(16.5 if uncertain else 11.0, 5.0), facecolor=LIGHT.paper, layout="constrained"
     )
     every = figure.subplots(1, 3 if uncertain else 2)
     points, x, y = plane.mesh(RESOLUTION)
@@ -119,7 +119,7 @@ def draw_values(
     across, upwards = axes or unnamed
     for place in every:
         place.set(xlabel=across, ylabel=upwards)
-        dress(place, INK, PAPER)
+        dress(place, LIGHT)
         place.grid(visible=False)
     figure.suptitle(title, color=INK, fontsize=13)
     picture = io.BytesIO()

@@ -115,6 +115,13 @@ class RunFiles:
         """The traceback of a run that failed."""
         return self._stem.with_name(f"{self.seed}.error.txt")
 
+    def failure(self) -> str:
+        """Return the last line of the traceback; empty if there is none that can be read."""
+        try:
+            return self.error.read_text(errors="replace").strip().rpartition("\n")[2]
+        except OSError:
+            return ""
+
     @property
     def progress(self) -> Path:
         """How much of its budget the run has used, between two of its lines; gone at its end."""

@@ -45,7 +45,7 @@ def write_report(folder: Path) -> dict[str, Any]:
         RecordError: the folder holds no experiment, or its files are damaged.
         OSError: the folder cannot be written.
     """
-    from baselines.curves import draw_curves  # imports matplotlib
+    from baselines.curves import DARK, LIGHT, draw_curves  # imports matplotlib
     from baselines.report_page import page
 
     study = load_study(folder)
@@ -55,8 +55,8 @@ def write_report(folder: Path) -> dict[str, Any]:
     write_atomic(folder / "summary.json", json.dumps(summary, indent=2, allow_nan=False) + "\n")
     write_atomic(folder / "summary.md", markdown(summary))
     references = [row for row in summary["rows"] if row["reference"]]
-    light = draw_curves(study.experiment, curves, references)
-    dark = draw_curves(study.experiment, curves, references, dark=True)
+    light = draw_curves(study.experiment, curves, references, LIGHT)
+    dark = draw_curves(study.experiment, curves, references, DARK)
     write_atomic(folder / "curves.png", light)
     write_atomic(folder / "report.html", page(study, summary, light, dark))
     return summary
@@ -90,9 +90,24 @@ def summarise(experiment: Experiment, runs: Mapping[RunFiles, Records]) -> dict[
         "budget": {experiment.unit: experiment.budget},
         "eval_episodes": experiment.eval_episodes,
         "unfinished_runs": sum(not records.finished for records in runs.values()),
+        "failed_runs": failures(runs),
         "rows": rows + reference_rows(experiment.environment),
         "pairs": [dataclasses.asdict(pair) for pair in pairs(_finals(runs), experiment.root_seed)],
     }
+
+
+def failures(runs: Mapping[RunFiles, Records]) -> dict[str, str]:
+    """Return the runs that failed, each with the last line of its traceback."""
+    return {
+        files.name: files.failure()
+        for files, records in runs.items()
+        if not records.finished and files.error.exists()
+    }
+
+
+def name_failures(failed: Mapping[str, str]) -> str:
+    """Return the names of runs that failed, and why the first of them did."""
+    return f"failed: {', '.join(failed)} ({next(iter(failed.values()))})"
 
 
 def _finals(runs: Mapping[RunFiles, Records]) -> dict[str, list[npt.NDArray[np.float64]]]:
@@ -168,7 +183,9 @@ def caption(summary: Mapping[str, Any]) -> str:
         "infinite horizon, computed from the model."
     )
     if summary["unfinished_runs"]:
-        text += f" {summary['unfinished_runs']} runs are not finished."
+        failed = summary["failed_runs"]
+        why = f"; {name_failures(failed)}" if failed else ""
+        text += f" Runs that are not finished: {summary['unfinished_runs']}{why}."
     return text
 
 

@@ -16,9 +16,7 @@ _BODY = Template("""<p>$caption</p>
 $table
 $pairs
 <h2>Learning curves</h2>
-<picture><source media="(prefers-color-scheme: dark)" srcset="$dark">
-<img src="$light" alt="Learning curves over environment steps and over seconds: $alternative">
-</picture>
+$curves
 <p class="faint">Bands are pointwise 95% intervals over seeds. Seconds count training, not
 evaluation; a run that has spent its budget keeps its final value until the slowest has. Dotted
 lines are reference values.</p>
@@ -49,9 +47,12 @@ def page(study: Study, summary: Mapping[str, Any], light: bytes, dark: bytes) ->
         caption=escape(caption(summary)),
         table=web_page.table("results", cells, references),
         pairs=_pairs(summary),
-        light=web_page.data(light),
-        dark=web_page.data(dark),
-        alternative=escape("; ".join(f"{row[0]} ends at {row[1]}" for row in cells[1:])),
+        curves=web_page.picture(
+            light,
+            dark,
+            "Learning curves over environment steps and over seconds: "
+            + "; ".join(f"{row[0]} ends at {row[1]}" for row in cells[1:]),
+        ),
         budget=web_page.definitions(_budget(study) | _used(summary)),
         settings="\n".join(_settings(entry) for entry in study.experiment.entries),
         sources=_sources(summary),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +14,12 @@ from baselines.commands import check_sb3, conduct, try_out, workers_of
 from baselines.experiment import Experiment
 from baselines.files import parse_json, write_atomic
 from baselines.records import Record, RecordError
-from baselines.report import DASH, finished_runs, number, print_table, reference_rows
+from baselines.report import (
+    failures,
+    finished_runs,
+    print_table,
+    reference_rows,
+)
 from baselines.reproduction import (
     Comparison,
     Computation,
@@ -24,6 +29,7 @@ from baselines.reproduction import (
     find,
     names,
 )
+from baselines.reproduction_tables import cells, markdown, side_by_side
 from baselines.statistics import mean_interval
 from baselines.study import read_runs
 from baselines.usage import UsageError, usage_errors
@@ -116,13 +122,14 @@ def _check(experiment: Experiment) -> None:
 
 
 def write(name: str, reproduction: Reproduction, folder: Path, quick: bool) -> None:
-    """Write summary.json, summary.md and figure.png, and print the tables.
+    """Write summary.json, summary.md and the figure, light and dark, and print the tables.
 
     Raises:
         RecordError: records are damaged.
         OSError: the folder cannot be written.
     """
-    from baselines.figures import draw, draw_table  # imports matplotlib
+    from baselines.curves import DARK, LIGHT  # imports matplotlib
+    from baselines.figures import draw, draw_table
 
     lines = [panel_lines(panel, folder, quick) for panel in reproduction.panels]
     tables: list[dict[str, Any]] = [
@@ -141,13 +148,15 @@ def write(name: str, reproduction: Reproduction, folder: Path, quick: bool) -> N
         "shape": reproduction.shape,
         "notes": reproduction.notes,
         "quick": quick,
+        "failed_runs": _failures(reproduction, folder, quick),
         "command": f"bnprl reproduce {name}{' --quick' * quick}",
         "panels": tables,
     }
     write_atomic(folder / "summary.json", json.dumps(values, indent=2, allow_nan=False) + "\n")
-    write_atomic(folder / "summary.md", markdown(reproduction, tables, quick))
-    picture = draw_table(reproduction, tables) if _is_table(reproduction) else None
-    write_atomic(folder / "figure.png", picture or draw(reproduction, lines, tables))
+    write_atomic(folder / "summary.md", markdown(values))
+    for file, ground in (("figure.png", LIGHT), ("figure-dark.png", DARK)):
+        picture = draw_table(reproduction, tables, ground) if _is_table(reproduction) else None
+        write_atomic(folder / file, picture or draw(reproduction, lines, tables, ground))
     for panel in tables:
         print(f"== {panel['title']}: {panel['measure']}")
         print_table(cells(panel["rows"], panel["x"]))
@@ -155,6 +164,16 @@ def write(name: str, reproduction: Reproduction, folder: Path, quick: bool) -> N
         print(f"== {reproduction.title}")
         print_table(side_by_side(tables))
     print(f"figure: {folder / 'figure.png'}")
+
+
+def _failures(reproduction: Reproduction, folder: Path, quick: bool) -> dict[str, str]:
+    """Return the failed runs of all panels by folder and run, each with why it did."""
+    return {
+        f"{place}/{name}": reason
+        for panel in reproduction.panels
+        for place, experiment in _experiments(panel, quick).items()
+        for name, reason in failures(read_runs(experiment, folder / place)).items()
+    }
 
 
 def panel_lines(panel: Comparison | Computation, folder: Path, quick: bool) -> Lines:
@@ -209,73 +228,6 @@ def _row(label: str, values: Any) -> Row:
         "x": None,
         "source": None,
     }
-
-
-def cells(rows: Sequence[Row], x: str) -> list[list[str]]:
-    """Return the cells of a panel's table, header first, as people read them."""
-    header = ["agent", "mean", "95% interval", "median", "seeds", x]
-    return [header, *(_cells(row) for row in rows)]
-
-
-def _cells(row: Row) -> list[str]:
-    low, high = _short(row["ci_low"]), _short(row["ci_high"])
-    reference = row["source"] is not None
-    return [
-        f"{row['agent']} (reference)" if reference else row["agent"],
-        _short(row["mean"]),
-        DASH if row["ci_low"] is None else f"{low} to {high}",
-        DASH if reference else _short(row["median"]),
-        DASH if reference else number(row["seeds"], ",.0f"),
-        number(row["x"], ",.0f"),
-    ]
-
-
-def side_by_side(tables: Sequence[Mapping[str, Any]]) -> list[list[str]]:
-    """Return all panels in one table: a row each, first the contenders, then the references."""
-    of_panel = [{row["agent"]: row for row in panel["rows"]} for panel in tables]
-    every = [row for panel in tables for row in panel["rows"]]
-    ours = [row["agent"] for row in every if row["source"] is None]
-    known = [row["agent"] for row in every if row["source"] is not None]
-    columns = list(dict.fromkeys(ours + known))
-    body = [
-        [panel["title"], *(_value(rows.get(column)) for column in columns)]
-        for panel, rows in zip(tables, of_panel, strict=True)
-    ]
-    return [["", *columns], *body]
-
-
-def _value(row: Row | None) -> str:
-    """Return a mean with half the width of its interval, as far as there are any."""
-    if row is None:
-        return DASH
-    if row["ci_low"] is None:
-        return _short(row["mean"])
-    return f"{_short(row['mean'])} ± {_short((row['ci_high'] - row['ci_low']) / 2, 2)}"
-
-
-def _short(value: float | None, digits: int = 4) -> str:
-    """Return a number in so many digits, a large one whole."""
-    large = value is not None and abs(value) >= min(1000.0, 10.0**digits - 0.5)
-    return number(value, ",.0f" if large else f".{digits}g")
-
-
-def markdown(reproduction: Reproduction, tables: Sequence[Mapping[str, Any]], quick: bool) -> str:
-    """Return the whole as Markdown."""
-    size = " (quick size: far fewer seeds and steps than the notes speak of)" if quick else ""
-    text = [f"# {reproduction.title}{size}", "", "![figure](figure.png)", ""]
-    if _is_table(reproduction):
-        text += [*_markdown_table(side_by_side(tables)), ""]
-    for panel in tables:
-        lines = _markdown_table(cells(panel["rows"], panel["x"]))
-        text += [f"## {panel['title']}: {panel['measure']}", "", *lines, ""]
-    return "\n".join([*text, *(f"{note}\n" for note in reproduction.notes)])
-
-
-def _markdown_table(rows: Sequence[Sequence[str]]) -> list[str]:
-    numbers = "|".join([" :--- ", *[" ---: "] * (len(rows[0]) - 1)])
-    escaped = ([cell.replace("|", "\\|") for cell in line] for line in rows)
-    lines = [f"| {' | '.join(line)} |" for line in escaped]
-    return [lines[0], f"|{numbers}|", *lines[1:]]
 
 
 def _is_table(reproduction: Reproduction) -> bool:

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from baselines import web_page
-from baselines.reproduce import cells, side_by_side
+from baselines.report import name_failures
+from baselines.reproduction_tables import cells, side_by_side
 from baselines.statistics import FEW
 
 
@@ -40,11 +41,20 @@ def _section(folder: Path, summary: Mapping[str, Any], *, headed: bool) -> str:
         if summary["quick"]
         else ""
     )
-    picture = web_page.data((folder / "figure.png").read_bytes())
+    failed = (
+        f"<p>Runs that {escape(name_failures(summary['failed_runs']))}.</p>"
+        if summary["failed_runs"]
+        else ""
+    )
+    picture = web_page.picture(
+        (folder / "figure.png").read_bytes(),
+        (folder / "figure-dark.png").read_bytes(),
+        f"{summary['title']}; its numbers are in the tables",
+    )
     notes = "\n".join(f"<p>{web_page.prose(note)}</p>" for note in summary["notes"])
     return f"""<section id="{name}">
-{heading}{size}
-<img class="paper" src="{picture}" alt="{title}; its numbers are in the tables">
+{heading}{size}{failed}
+{picture}
 {notes}
 {_tables(name, summary)}
 <p class="faint">Italic: numbers of the source and of the registry. Intervals are of 95%

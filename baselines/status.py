@@ -35,16 +35,8 @@ def status(options: Status) -> int:
             print_table([HEADER, *rows])
             failures += [files for files, state in states.items() if state == FAILED]
     for files in failures:
-        print(f"failed: {files.name} ({failure(files)}); traceback in {files.error}")
+        print(f"failed: {files.name} ({files.failure()}); traceback in {files.error}")
     return 1 if failures else 0
-
-
-def failure(files: RunFiles) -> str:
-    """Return the last line of a failed run's traceback, empty if that could not be written."""
-    try:
-        return files.error.read_text(errors="replace").strip().rpartition("\n")[2]
-    except OSError:
-        return ""
 
 
 def _state(files: RunFiles, finished: bool) -> str:

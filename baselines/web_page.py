@@ -39,7 +39,7 @@ thead button { all: unset; cursor: pointer; font-weight: 600; }
 thead button:hover, thead button:focus-visible { color: var(--accent);
   text-decoration: underline; }
 tr.reference td { font-style: italic; }
-img.paper { background: #ffffff; margin-bottom: .8rem; }
+.wide img { min-width: 42rem; margin-bottom: .8rem; }
 img { width: 100%; height: auto; display: block; border-radius: 6px; }
 pre { background: var(--panel); border: 1px solid var(--line); border-radius: 6px;
   padding: .8rem 1rem; overflow-x: auto; font-size: .875rem; }
@@ -121,8 +121,22 @@ def prose(text: str) -> str:
     return re.sub("`([^`]+)`", r"<code>\1</code>", escape(text))
 
 
-def data(picture: bytes) -> str:
-    """Return the address of a picture (PNG) that is part of the page."""
+def picture(light: bytes, dark: bytes, alternative: str) -> str:
+    """Return a picture that is part of the page, scrolled sideways where the page is narrow.
+
+    Args:
+        light: the picture (PNG) on a light ground.
+        dark: the same on a dark one.
+        alternative: says in words what it shows.
+    """
+    return (
+        '<div class="scroll wide"><picture>'
+        f'<source media="(prefers-color-scheme: dark)" srcset="{_data(dark)}">\n'
+        f'<img src="{_data(light)}" alt="{escape(alternative)}"></picture></div>'
+    )
+
+
+def _data(picture: bytes) -> str:
     return f"data:image/png;base64,{base64.b64encode(picture).decode()}"
 
 

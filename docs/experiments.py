@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from baselines import reproduction
-from baselines.reproduce import cells, side_by_side
+from baselines.reproduction_tables import cells, side_by_side
 
 RESULTS = Path(reproduction.__file__).parent / "results"
 

@@ -109,6 +109,8 @@ def test_comparisons_are_joined(
     (pair,) = summary["pairs"]
     assert pair["improvement"] == 1.0
     assert (out / "profiles.png").read_bytes().startswith(b"\x89PNG")
+    page = (out / "report.html").read_text()
+    assert all(words in page for words in ("strong", "bnprl/Tag-v0", 'id="pairs"', "1.000"))
     assert "strong" in capsys.readouterr().out
 
     assert main(["aggregate", folders[0], folders[0], "--out", str(out)]) == 2
@@ -116,7 +118,7 @@ def test_comparisons_are_joined(
     write(tmp_path / "alone", "bnprl/Tag-v0", {"strong": [-6.0] * 3})
     assert main(["aggregate", str(tmp_path / "alone"), "--out", str(out)]) == 0
     shown = capsys.readouterr().out
-    assert "who beats whom takes two agents that have finished runs in every folder" in shown
+    assert "Who beats whom takes two agents that have finished runs in every folder" in shown
     assert "P(better)" not in shown
     write(tmp_path / "foreign", "FrozenLake-v1", {"strong": [1.0]})
     assert main(["aggregate", str(tmp_path / "foreign"), "--out", str(out)]) == 2

@@ -9,7 +9,7 @@ import pytest
 from matplotlib.figure import Figure
 from scipy.stats import sem, t
 
-from baselines.curves import draw_curves, on_one_grid
+from baselines.curves import LIGHT, draw_curves, on_one_grid
 from baselines.environment import EnvironmentSpec
 from baselines.experiment import Entry, Experiment
 from baselines.files import parse_json
@@ -54,6 +54,7 @@ def test_the_summary_is_over_seeds_by_final_evaluations(folder: Path) -> None:
     assert summary["env"] == "bnprl/Hallway-v0"
     assert summary["metric"] == "mean discounted return"
     assert summary["unfinished_runs"] == 3
+    assert summary["failed_runs"] == {}
     row = summary["rows"][0]
     assert row["agent"] == "fake"
     assert row["mean"] == pytest.approx(7 / 3)
@@ -62,6 +63,21 @@ def test_the_summary_is_over_seeds_by_final_evaluations(folder: Path) -> None:
     assert row["exact_ci_low"] < 0.9 < 4.1 < row["exact_ci_high"]
     assert (row["seeds"], row["steps"], row["episodes"]) == (3, 300, 100)
     assert row["train_seconds"] == 1.5
+
+
+def test_failed_runs_are_named_with_the_reason_of_the_first(folder: Path) -> None:
+    for seed, reason in ((1, "ValueError: <broken>"), (2, "OSError: full")):
+        files = RunFiles(folder, "random", seed)
+        files.error.write_text(f"Traceback\n  somewhere\n{reason}\n")
+    RunFiles(folder, "fake", 0).error.write_text("of a run that was finished later")
+    summary = write_report(folder)
+    assert summary["failed_runs"] == {
+        "random/1": "ValueError: <broken>",
+        "random/2": "OSError: full",
+    }
+    words = "not finished: 3; failed: random/1, random/2 (ValueError: <broken>)."
+    assert words in (folder / "summary.md").read_text()
+    assert words.replace("<", "&lt;").replace(">", "&gt;") in (folder / "report.html").read_text()
 
 
 def test_unfinished_contenders_have_an_empty_row(folder: Path) -> None:
@@ -200,7 +216,7 @@ def test_the_curves_show_every_finished_contender(monkeypatch: pytest.MonkeyPatc
     other = [record(steps=200, train_seconds=99.0, return_mean=9.0)]
     chosen = experiment(Entry.of("fake"), Entry.of("fake", FakeSettings(), "once"))
     curves = {"fake": [curve, curve], "once": [other], "none": []}
-    picture = draw_curves(chosen, curves, [{"agent": "best known", "mean": 8.0}])
+    picture = draw_curves(chosen, curves, [{"agent": "best known", "mean": 8.0}], LIGHT)
     assert picture.startswith(b"\x89PNG")
     left, right = figures[0].axes
     lines = {str(line.get_label()): line for line in left.lines}

@@ -8,6 +8,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from baselines import cli, reproduction
+from baselines.curves import LIGHT
 from baselines.environment import EnvironmentSpec
 from baselines.experiment import Entry, Experiment
 from baselines.experiments.figure_3_3 import largest_values
@@ -118,6 +119,19 @@ def test_panels_are_run_resumed_and_reported(tmp_path, monkeypatch, capsys):
     assert "figure: " in capsys.readouterr().out
 
 
+def test_failed_runs_are_named_on_the_page(tmp_path, monkeypatch):
+    monkeypatch.setattr("baselines.reproduce.find", lambda name: TINY)
+    assert cli.main(["reproduce", "tiny", "--quick", "--out", str(tmp_path)]) == 0
+    assert "failed:" not in (tmp_path / "report.html").read_text()
+    run = tmp_path / "grid" / "runs" / "linear" / "1.jsonl"
+    run.write_bytes(b"")
+    run.with_name("1.error.txt").write_text("Traceback\nMemoryError: no <room>\n")
+    assert cli.main(["report", str(tmp_path)]) == 0
+    reason = "failed: grid/linear/1 (MemoryError: no "
+    assert f"{reason}<room>)" in (tmp_path / "summary.md").read_text()
+    assert f"{reason}&lt;room&gt;)" in (tmp_path / "report.html").read_text()
+
+
 def test_all_experiments_are_one_page(tmp_path, monkeypatch):
     line = Reproduction("<line>", TINY.panels[2:], notes=("1 < 2, as `a < b` says",))
     both = Reproduction("lines in a table", line.panels, shape="table")
@@ -180,7 +194,7 @@ def test_a_table_has_a_row_for_each_environment(tmp_path, monkeypatch, capsys):
 def test_a_logarithmic_axis_takes_negative_numbers(last, scale):
     axes = Figure().subplots()
     lines = {"one": (np.arange(2.0), np.array([[30.0, last]]))}
-    draw_panel(axes, TINY.panels[2], lines, ["one"])
+    draw_panel(axes, TINY.panels[2], lines, ["one"], LIGHT)
     assert axes.get_yscale() == scale
     low, high = axes.get_ylim()
     assert low <= last <= high
@@ -190,7 +204,7 @@ def test_references_too_close_for_a_name_each_are_named_above_the_highest():
     axes = Figure().subplots()
     axes.set_ylim(0.0, 100.0)
     rows = [{"agent": name, "mean": mean} for name, mean in (("c", 53), ("a", 10), ("b", 50))]
-    draw_references(axes, rows)
+    draw_references(axes, rows, LIGHT)
     assert {text.get_text(): text.xy[1] for text in axes.texts} == {"a": 10.0, "b, c": 53.0}
 
 
