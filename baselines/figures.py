@@ -20,6 +20,8 @@ from baselines.statistics import mean_band
 X_LABELS = {"steps": "environment steps of training", "episodes": "episodes of training"}
 LARGEST = 1e12
 """Beyond, a diverging line is cut off at the top of the axes."""
+WIDE_RANGE = 100.0
+"""Ratio of the means beside each other from which their axis is logarithmic."""
 LINEAR = 10.0
 """Up to which a logarithmic axis is linear, if some numbers are negative."""
 
@@ -146,10 +148,14 @@ def _draw_values(
             markersize=6,
         )
     dress(axes, ground)
-    axes.locator_params(axis="x", nbins=6)
+    means = [row["mean"] for row in rows]
+    if min(means) > 0.0 and max(means) > WIDE_RANGE * min(means):
+        axes.set_xscale("log", nonpositive="clip")
+    else:
+        axes.locator_params(axis="x", nbins=6)
     axes.xaxis.set_major_formatter(lambda value, _: thousands(value))
-    labels = [row["agent"] for row in rows]
-    axes.set_yticks(range(len(rows)), labels, fontsize=8, color=ground.ink)
+    names = [row["agent"] for row in rows]
+    axes.set_yticks(range(len(rows)), names, fontsize=8, color=ground.ink)
     axes.set_ylim(len(rows) - 0.4, -0.6)
 
 
