@@ -40,6 +40,9 @@ __all__ = ["IntArray", "Names", "TabularModel"]
 
 IntArray = npt.NDArray[np.int64]
 
+LARGEST_REWARD = 1e100
+"""Sums and products of larger ones are soon no numbers."""
+
 
 class TabularModel:
     """A decision process given by tables; one agent or many, observed fully or in part.
@@ -255,6 +258,9 @@ class TabularModel:
         table = self._reward.data if isinstance(self._reward, csr_array) else self._reward
         if not np.isfinite(table).all():
             raise ValueError("reward: holds NaN or infinity, must be finite")
+        largest = np.abs(table).max(initial=0.0)
+        if largest > LARGEST_REWARD:
+            raise ValueError(f"reward: holds ±{largest:g}, must lie within ±{LARGEST_REWARD:g}")
         self._check_terminal()
 
     def _check_names(self) -> None:

@@ -47,6 +47,7 @@ def with_row(table, action, state, row):
         ({"observation": np.ones((1, 2, 1))}, r"observation: 1 actions, but transition has 2"),
         ({"reward": np.zeros(4)}, r"reward: shape \(4,\) does not broadcast"),
         ({"reward": np.inf}, r"reward: holds NaN or infinity"),
+        ({"reward": -1e101}, r"reward: holds ±1e\+101, must lie within ±1e\+100"),
         ({"action_sizes": (2, 2)}, r"action_sizes: \(2, 2\), must be positive with product 2"),
         ({"observation_sizes": (2,)}, r"observation_sizes: \(2,\)"),
         ({"terminal": [True]}, r"terminal: shape \(1,\), must be \(2,\)"),
