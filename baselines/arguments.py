@@ -58,7 +58,7 @@ def _reason(
     command: str, fields: Sequence[dataclasses.Field[Any]], given: Sequence[str], box: str
 ) -> str:
     """Return in one line what tyro says in a box."""
-    flags = _flags(fields)
+    flags = ["--help", *_flags(fields)]
     for token in given:
         flag = token.partition("=")[0].replace("_", "-")
         if flag.startswith("--") and flag not in flags:
@@ -90,13 +90,13 @@ def _is_rule(row: str) -> bool:
 
 def _flags(fields: Sequence[dataclasses.Field[Any]]) -> list[str]:
     """Return the options of a dataclass, those of settings within it included."""
-    flags = ["--help"]
+    flags = []
     for field in fields:
+        flag = f"--{field.name.replace('_', '-')}"
         if dataclasses.is_dataclass(field.default):
             flags += _flags(dataclasses.fields(field.default))
-            continue
-        flag = f"--{field.name.replace('_', '-')}"
-        flags += (
-            [flag, flag.replace("--", "--no-", 1)] if field.default in (True, False) else [flag]
-        )
+        elif isinstance(field.default, bool):
+            flags += [flag, flag.replace("--", "--no-", 1)]
+        elif "Positional" not in str(field.type):
+            flags.append(flag)
     return flags

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import importlib
 import os
+import traceback
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -52,7 +53,8 @@ class EnvironmentSpec:
 
         Raises:
             ValueError: there is no such environment (near misses are named), it does not take
-                the keywords, or it is a team that cannot be served.
+                the keywords, one from elsewhere cannot be made, or it is a team that cannot be
+                served.
             OSError: the model file cannot be read.
         """
         try:
@@ -163,7 +165,16 @@ class EnvironmentSpec:
                 "vector_kwargs": {"autoreset_mode": gym.vector.AutoresetMode(autoreset_mode)},
             }
         )
-        return gym.make_vec(self._name, num_envs=num_envs, **modes, **self._keywords())
+        try:
+            return gym.make_vec(self._name, num_envs=num_envs, **modes, **self._keywords())
+        except Exception as error:  # whatever somebody else's constructor raises
+            if known is not None:
+                raise
+            where = traceback.extract_tb(error.__traceback__)[-1]
+            raise ValueError(
+                f"{self.id}: cannot be made: {type(error).__name__}: {error} "
+                f"({where.filename}:{where.lineno})"
+            ) from error
 
     def _make_team(self, num_envs: int) -> AnyVectorEnv:
         model = self.model()

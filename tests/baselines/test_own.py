@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+import gymnasium as gym
 import pytest
 from gymnasium.spaces import Discrete
 
@@ -58,6 +59,19 @@ def test_what_is_no_agent_is_named(
     compare = ["compare", "bnprl/CheeseMaze-v0", "--agents", name, *SMALL]
     assert main([*compare, "--out", str(tmp_path / "out")]) == 2
     assert reason in capsys.readouterr().err
+
+
+class Spaceless(gym.Env[int, int]):
+    """What every environment must have is missing."""
+
+
+def test_an_environment_that_cannot_be_made_is_refused_in_one_line() -> None:
+    gym.register("Spaceless-v0", entry_point=Spaceless)
+    try:
+        with pytest.raises(ValueError, match=r"^Spaceless-v0: cannot be made: Attr.*\)$"):
+            EnvironmentSpec("Spaceless-v0").make_vec(1)
+    finally:
+        del gym.registry["Spaceless-v0"]
 
 
 def test_a_strangers_records_import_nothing(
