@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from baselines.experiment import Experiment
 from baselines.records import Record, RecordError, RunFiles, is_being_written
 from baselines.report import DASH, number, print_table
 from baselines.study import load_study, read_runs, study_folders
-from baselines.usage import usage_errors
+from baselines.usage import UsageError, usage_errors
 
 if TYPE_CHECKING:
     from baselines.options import Status
@@ -20,23 +21,36 @@ HEADER = ["run", "state", "share", "mean", "train seconds", "seconds left"]
 
 def status(options: Status) -> int:
     """Print the state of every run below a folder; return 1 if one failed, else 0."""
-    failures: list[RunFiles] = []
+    failed: list[RunFiles] = []
+    damaged: list[str] = []
     with usage_errors(RecordError):
-        for place in study_folders(options.folder):
-            experiment = load_study(place).experiment
-            runs = read_runs(experiment, place)
-            states = {files: _state(files, found.finished) for files, found in runs.items()}
-            counts = [list(states.values()).count(s) for s in (DONE, RUNNING, FAILED)]
-            print(
-                f"{place}: {experiment.environment.id}, {len(runs)} runs of {experiment.budget:,} "
-                f"{experiment.unit}: {counts[0]} done, {counts[1]} running, {counts[2]} failed"
-            )
-            rows = [_row(experiment, f, states[f], found.lines) for f, found in runs.items()]
-            print_table([HEADER, *rows])
-            failures += [files for files, state in states.items() if state == FAILED]
-    for files in failures:
+        places = study_folders(options.folder)
+    for place in places:
+        try:
+            with usage_errors(RecordError):
+                failed += _print_states(place)
+        except UsageError as error:
+            damaged.append(str(error))
+    for files in failed:
         print(f"failed: {files.name} ({files.failure()}); traceback in {files.error}")
-    return 1 if failures else 0
+    if damaged:
+        raise UsageError("; ".join(damaged))
+    return 1 if failed else 0
+
+
+def _print_states(place: Path) -> list[RunFiles]:
+    """Print the state of every run of an experiment; return those that failed."""
+    experiment = load_study(place).experiment
+    runs = read_runs(experiment, place)
+    states = {files: _state(files, found.finished) for files, found in runs.items()}
+    counts = [list(states.values()).count(s) for s in (DONE, RUNNING, FAILED)]
+    print(
+        f"{place}: {experiment.environment.id}, {len(runs)} runs of {experiment.budget:,} "
+        f"{experiment.unit}: {counts[0]} done, {counts[1]} running, {counts[2]} failed"
+    )
+    rows = [_row(experiment, files, states[files], found.lines) for files, found in runs.items()]
+    print_table([HEADER, *rows])
+    return [files for files, state in states.items() if state == FAILED]
 
 
 def _state(files: RunFiles, finished: bool) -> str:

@@ -53,6 +53,12 @@ def test_panels_of_a_reproduction_are_told_and_reported(
     assert main(["report", str(tmp_path)]) == 0
     assert (tmp_path / "a" / "report.html").is_file()
     assert (tmp_path / "b" / "report.html").is_file()
+    (tmp_path / "a" / "experiment.json").write_text("{")
+    capsys.readouterr()
+    assert main(["status", str(tmp_path)]) == 2  # and what is whole is told all the same
+    shown = capsys.readouterr()
+    assert shown.out.count("fake/0") == 1
+    assert str(tmp_path / "a") in shown.err
 
 
 def test_a_folder_without_an_experiment_is_named(
