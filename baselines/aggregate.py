@@ -69,7 +69,6 @@ def page(summary: Mapping[str, Any], light: bytes, dark: bytes) -> str:
     """
     pairs = pair_table(summary["pairs"])
     head_to_head = web_page.table("pairs", pairs) if len(pairs) > 1 else f"<p>{NO_PAIRS}</p>"
-    count = len(summary["environments"])
     body = f"""<p>{escape(caption(summary))}</p>
 <p>{MEANING}</p>
 {web_page.table("scores", table(summary))}
@@ -77,13 +76,17 @@ def page(summary: Mapping[str, Any], light: bytes, dark: bytes) -> str:
 {head_to_head}
 <h2>Performance profiles</h2>
 {web_page.picture(light, dark, "Share of runs above each score; the means are in the table")}"""
-    return web_page.document(f"Agents over {count} environments", body)
+    return web_page.document(f"Agents over {_environments(summary['environments'])}", body)
 
 
 def caption(summary: Mapping[str, Any]) -> str:
     """Return of what the scores are."""
     found = summary["environments"]
-    return f"Scores (0 random, 1 best known) over {len(found)}: {', '.join(found)}."
+    return f"Scores (0 random, 1 best known) over {_environments(found)}: {', '.join(found)}."
+
+
+def _environments(found: Sequence[str]) -> str:
+    return f"{len(found)} environment{'s' * (len(found) > 1)}"
 
 
 def read_scores(folders: Sequence[Path]) -> Scores:
@@ -180,8 +183,8 @@ def draw_profiles(scores: Scores, ground: Ground) -> bytes:
         xlabel="normalised score s (0 random, 1 best known)",
         ylabel="share of runs above s",
     )
-    count = len(next(iter(scores.values())))
-    axes.set_title(f"Performance profiles over {count} environments", color=ground.ink)
+    over = _environments([*next(iter(scores.values()))])
+    axes.set_title(f"Performance profiles over {over}", color=ground.ink)
     axes.legend(frameon=False, labelcolor=ground.ink)
     dress(axes, ground)
     picture = io.BytesIO()
