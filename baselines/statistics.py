@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 CONFIDENCE = 0.95
-FEW = 5
-"""Fewer values than this get Student's interval: the percentile bootstrap of two holds the mean in
-half of all cases, of three in three quarters."""
+FEW = 8
+"""Fewer values than this get Student's interval: a bootstrap cannot leave their range, and that of
+five holds the mean in nine cases of ten at best."""
 RESAMPLES = 9_999
 STRATIFIED_RESAMPLES = 2_000
 DRAWS = 10_000_000
@@ -31,10 +31,9 @@ class Interval:
 
 
 def mean_interval(values: npt.ArrayLike, confidence: float = CONFIDENCE, seed: int = 0) -> Interval:
-    """Return the mean of (n,) values with its percentile bootstrap interval, or Student's of `FEW`.
+    """Return the mean of (n,) values with its interval: bootstrap's, or Student's below `FEW`.
 
-    The percentile interval is defined for every sample; the corrected and accelerated one is not
-    (equal values). Equal seeds give equal intervals.
+    Equal seeds give equal intervals.
 
     Args:
         values: independent, finite.
@@ -52,10 +51,7 @@ def mean_interval(values: npt.ArrayLike, confidence: float = CONFIDENCE, seed: i
     mean = float(sample.mean())
     if sample.size == 1:
         return Interval(mean, None, None)
-    if sample.size < FEW:
-        half = _student(sample.size, confidence) * float(sample.std(ddof=1)) / sample.size**0.5
-        return Interval(mean, mean - half, mean + half)
-    low, high = _bootstrap(sample[:, None], confidence, seed)
+    low, high = _interval(sample[:, None], confidence, seed)
     return Interval(mean, float(low[0]), float(high[0]))
 
 
@@ -89,15 +85,38 @@ def bootstrap_interval(
 def mean_band(
     curves: FloatArray, confidence: float = CONFIDENCE, seed: int = 0
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the mean of (n, points) curves and the ends of its pointwise bootstrap interval.
+    """Return the mean of (n, points) curves and the ends of its interval at each point.
 
-    One curve alone is its own band; that of two or three reaches from the least to the greatest.
+    The intervals are those of `mean_interval`. One curve alone is its own band.
     """
     mean = curves.mean(axis=0)
     if len(curves) == 1:
         return mean, mean, mean
-    low, high = _bootstrap(curves, confidence, seed)
-    return mean, low, high
+    return mean, *_interval(curves, confidence, seed)
+
+
+def expanded(size: int, confidence: float) -> float:
+    """Return the level at which the percentile interval of n values is as wide as Student's.
+
+    Percentiles of the resampled means are too close by sqrt((n - 1) / n), and by the normal's
+    tails in place of Student's: of ten values they hold the mean in 90% of all cases, not in 95%.
+
+    Paper: Hesterberg (2015), *What teachers should know about the bootstrap*.
+    """
+    from scipy.stats import norm
+
+    z = _student(size, confidence) * (size / (size - 1)) ** 0.5
+    return float(norm.cdf(z) - norm.cdf(-z))
+
+
+def _interval(sample: FloatArray, confidence: float, seed: int) -> tuple[FloatArray, FloatArray]:
+    """Return both ends (points,) of the interval of the mean of (n, points), n at least 2."""
+    size = len(sample)
+    if size < FEW:
+        mean = sample.mean(axis=0)
+        half = _student(size, confidence) * sample.std(axis=0, ddof=1) / size**0.5
+        return mean - half, mean + half
+    return _bootstrap(sample, expanded(size, confidence), seed)
 
 
 def _student(size: int, confidence: float) -> float:

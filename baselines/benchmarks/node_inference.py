@@ -1,7 +1,7 @@
 """How many nodes iRPR settles at, begun with too few and with too many.
 
 `python -m baselines.benchmarks.node_inference` learns the noisy maze from one node and from twelve,
-and prints exact values and nodes in use with 95% bootstrap intervals over seeds. A policy without
+and prints exact values and nodes in use with 95% intervals over seeds. A policy without
 memory earns .690 there, the best .731, which takes three nodes. It exits 1 where the mean value
 stays below what memory begins to pay, the two beginnings end at clearly different values or
 numbers of nodes, a run ends with one node, or a beginning does not grow or shrink.
