@@ -109,7 +109,7 @@ def play(entry: Entry, act: Act) -> Episode:
 
 def random_policy(entry: Entry) -> Act:
     """Return uniformly random actions."""
-    rng, sizes = np.random.default_rng(0), action_sizes(entry)
+    rng, sizes = np.random.default_rng(1), action_sizes(entry)  # not the environment's numbers
     return lambda step, seen: rng.integers(sizes).tolist()
 
 

@@ -146,7 +146,8 @@ REPRODUCTION = Reproduction(
         "what a step costs.",
         "On the pendulum only a fall costs, 1: a prior mean of 0 is as hopeful as can be, and the "
         "optimist then tries what is no use.",
-        "Every policy is evaluated greedily, apart from training.",
+        "Learners of action values are evaluated greedily, PPO as the stochastic policy that it "
+        "learns; all of them apart from training.",
         "The source gives its figures as pictures, without numbers.",
     ),
 )

@@ -1,7 +1,7 @@
 """Figure 4.1: value and time of online and batch EM as episodes come in, on five problems.
 
-Protocol A, with 3 runs: 251 evaluation episodes of at most 251 steps, 101 and 101 for Hallway and
-Tag.
+Protocol A, with 5 runs (deep learners 3): 251 evaluation episodes of at most 251 steps, 101 and
+101 for Hallway and Tag.
 """
 
 from __future__ import annotations

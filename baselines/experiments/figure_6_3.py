@@ -47,6 +47,8 @@ POINTS = 4
 """Evaluations of a helped run, and of one by EM."""
 SEARCH_SEEDS, EM_SEEDS = 10, 1
 UNITS = "units that pass in a step"
+JUDGING, ACTING = 0, 1
+"""Seeds of the episodes that judge and of what acts by chance in them; learners have others."""
 SIZES: dict[str, Any] = {"nodes": 4, "batch_episodes": 100}
 
 
@@ -59,7 +61,7 @@ def hand_coded() -> tuple[Reference, ...]:
     """What the policies that need no learning let pass, by simulation."""
     found = []
     for name, policy in {"random": uniformly, **POLICIES[ID]}.items():
-        rng = np.random.default_rng(0)
+        rng = np.random.default_rng(ACTING)
         found.append(Reference(name, units(lambda seen, t: policy(seen, t, rng)), "simulated here"))  # noqa: B023
     return tuple(found)
 
@@ -71,7 +73,7 @@ def units(act: Callable[[Any, int], Any]) -> float:
         act: observations (copies, N) and the time -> actions (copies, N).
     """
     env = GridTrafficBatch(COPIES)
-    seen, _ = env.reset(seed=0)
+    seen, _ = env.reset(seed=JUDGING)
     steps, passed = env.max_episode_steps or 1, 0.0
     for t in range(steps):
         seen, reward, *_ = env.step(act(seen, t))
@@ -105,12 +107,13 @@ class HelpedTraffic(gym.vector.VectorWrapper):
     def __init__(self, env: GridTrafficBatch) -> None:
         super().__init__(env)
         self.max_episode_steps = env.max_episode_steps
-        self._rng = np.random.default_rng(0)
+        self._rng = np.random.default_rng()
 
     def reset(self, *, seed: int | None = None, options: Any = None) -> Any:
         """Begin new episodes; the seed is that of the heuristic's turns too."""
         if seed is not None:
-            self._rng = np.random.default_rng(seed)
+            (turns,) = np.random.SeedSequence(seed).spawn(1)
+            self._rng = np.random.default_rng(turns)
         self._seen, info = self.env.reset(seed=seed, options=options)
         return self._seen, info
 
@@ -129,6 +132,12 @@ def curve(agent: ControllerAgent, env: Any, budget: int, seed: int) -> FloatArra
         if progress.steps * POINTS >= (len(passed) + 1) * budget:
             passed.append(units(by_memory(agent)))
     return np.array(passed + [units(by_memory(agent))] * (POINTS - len(passed)))
+
+
+def seed_pairs(runs: int) -> list[tuple[int, int]]:
+    """Seeds of each run's learner and environment."""
+    drawn = np.random.SeedSequence(JUDGING).generate_state(2 * runs).tolist()
+    return list(zip(drawn[::2], drawn[1::2], strict=True))
 
 
 def by_memory(agent: ControllerAgent) -> Callable[[Any, int], Any]:
@@ -172,7 +181,7 @@ def helped(quick: bool) -> Lines:
     lines = {}
     for name, (make, env, steps, seeds) in contenders.items():
         budget = steps // 5 if quick else steps
-        runs = [curve(make(seed), env, budget, seed) for seed in range(seeds)]
+        runs = [curve(make(own), env, budget, world) for own, world in seed_pairs(seeds)]
         lines[name] = (np.linspace(0, budget, POINTS + 1)[1:], np.array(runs))
     return lines
 

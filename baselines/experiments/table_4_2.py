@@ -109,8 +109,9 @@ REPRODUCTION = Reproduction(
         "to a new start; episodes are cut after 51 steps. Mean reward per step is the sum of all "
         "evaluation episodes' rewards over their steps, some per cent less than in the long run.",
         "What came out: predictive-actor-critic is within 5% of every optimum, where the U-trees "
-        "are too. EM is at the source's values in the maze and near the grid's optimum, but below "
-        "the source in Shuttle: one update sees 20 short episodes, and good ones are rare. iRPR is "
+        "are too. EM with 10 or 20 nodes is at the source's values in the maze and near the "
+        "grid's optimum, with 30 nodes below both. In Shuttle it is below the source: one "
+        "update sees 20 short episodes, and good ones are rare. iRPR is "
         "below EM everywhere: it learns from running means of few episodes; the source has no "
         "numbers of it here.",
         "The source's .259 on the grid is above the optimum of this model: it was another one.",
