@@ -1,7 +1,7 @@
 """One page per experiment, from the results that are kept in baselines/results.
 
 `python docs/experiments.py` writes them to docs/experiments; building the documentation does, too.
-Nothing on those pages is typed by hand.
+Their numbers and pictures are read from the records; the notes are those of the experiments.
 """
 
 from __future__ import annotations
