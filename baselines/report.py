@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -164,11 +164,8 @@ def reference_rows(environment: EnvironmentSpec) -> list[Row]:
 
 def markdown(summary: Mapping[str, Any]) -> str:
     """Return the summary as a table of Markdown."""
-    header, *body = table(summary)
-    numbers = "|".join([" :--- ", *[" ---: "] * (len(header) - 1)])
-    lines = [f"| {' | '.join(cells)} |" for cells in (header, *body)]
-    lines.insert(1, f"|{numbers}|")
-    return "\n".join([f"# {summary['env']}", "", caption(summary), "", *lines, ""])
+    cells = markdown_table(table(summary))
+    return "\n".join([f"# {summary['env']}", "", caption(summary), "", cells, ""])
 
 
 def caption(summary: Mapping[str, Any]) -> str:
@@ -252,3 +249,15 @@ def print_table(rows: Sequence[Sequence[str]]) -> None:
             for index, (cell, width) in enumerate(zip(row, widths, strict=True))
         )
         print("  ".join([first, *others]).rstrip())
+
+
+def markdown_table(rows: Iterable[Sequence[str]], *, numbers: bool = True) -> str:
+    """Return cells, header first, as a table of Markdown.
+
+    Args:
+        rows: of cells.
+        numbers: all columns but the first are aligned to the right.
+    """
+    header, *body = [[cell.replace("|", "\\|") for cell in row] for row in rows]
+    rule = [":---", *["---:" if numbers else ":---"] * (len(header) - 1)]
+    return "\n".join(f"| {' | '.join(row)} |" for row in (header, rule, *body))

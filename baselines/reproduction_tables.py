@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from baselines.report import DASH, name_failures, number
+from baselines.report import DASH, markdown_table, name_failures, number
 
 Row = Mapping[str, Any]
 
@@ -65,15 +65,8 @@ def markdown(summary: Mapping[str, Any]) -> str:
     if summary["failed_runs"]:
         text += [f"Runs that {name_failures(summary['failed_runs'])}.", ""]
     if summary["shape"] == "table":
-        text += [*_markdown_table(side_by_side(summary["panels"])), ""]
+        text += [markdown_table(side_by_side(summary["panels"])), ""]
     for panel in summary["panels"]:
-        lines = _markdown_table(cells(panel["rows"], panel["x"]))
-        text += [f"## {panel['title']}: {panel['measure']}", "", *lines, ""]
+        rows = markdown_table(cells(panel["rows"], panel["x"]))
+        text += [f"## {panel['title']}: {panel['measure']}", "", rows, ""]
     return "\n".join([*text, *(f"{note}\n" for note in summary["notes"])])
-
-
-def _markdown_table(rows: Sequence[Sequence[str]]) -> list[str]:
-    numbers = "|".join([" :--- ", *[" ---: "] * (len(rows[0]) - 1)])
-    escaped = ([cell.replace("|", "\\|") for cell in line] for line in rows)
-    lines = [f"| {' | '.join(line)} |" for line in escaped]
-    return [lines[0], f"|{numbers}|", *lines[1:]]

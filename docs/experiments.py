@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from baselines import reproduction
+from baselines.report import markdown_table
 from baselines.reproduction_tables import cells, side_by_side
 
 RESULTS = Path(reproduction.__file__).parent / "results"
@@ -41,10 +42,10 @@ def page(name: str, kept: Path) -> str:
     summary: dict[str, Any] = json.loads((kept / "summary.json").read_bytes())
     text += [f"![{what.title}]({name}.png)", "", *notes]
     if summary["shape"] == "table":
-        text += [table(side_by_side(summary["panels"])), ""]
+        text += [markdown_table(side_by_side(summary["panels"])), ""]
     for panel in summary["panels"]:
         text += [f"## {panel['title']}: {panel['measure']}", ""]
-        text += [table(cells(panel["rows"], panel["x"])), ""]
+        text += [markdown_table(cells(panel["rows"], panel["x"])), ""]
     return "\n".join([*text, "```sh", summary["command"], "```", ""])
 
 
@@ -59,7 +60,7 @@ Tables and figures of the source, remade by `bnprl reproduce NAME`, all of them 
 `bnprl reproduce --all`; `--quick` gives each of them two minutes. [What the strong learners
 reach](learners.md) is on a page of its own.
 
-{table(rows)}
+{markdown_table(rows, numbers=False)}
 
 ```{{toctree}}
 :hidden:
@@ -67,15 +68,6 @@ reach](learners.md) is on a page of its own.
 {toctree}
 ```
 """
-
-
-def table(rows: Sequence[Sequence[str]]) -> str:
-    """Return a table of Markdown, header first."""
-    header, *body = rows
-    lines = [header, ["---"] * len(header), *body]
-    return "\n".join(
-        f"| {' | '.join(text.replace('|', '&#124;') for text in line)} |" for line in lines
-    )
 
 
 if __name__ == "__main__":

@@ -19,7 +19,7 @@ import pettingzoo
 from PIL import Image
 
 import bnprl_envs
-from baselines.report import REFERENCE_NAMES
+from baselines.report import REFERENCE_NAMES, markdown_table
 from bnprl_envs import hand_coded
 from bnprl_envs.model import TabularModel
 from bnprl_envs.planning import belief_update, q_mdp
@@ -220,7 +220,7 @@ def facts(entry: Entry) -> str:
                 else " x ".join(map(str, model.observation_sizes)),
             ),
         ]
-    return table(["", ""], rows)
+    return markdown_table([["", ""], *rows], numbers=False)
 
 
 def usage(entry: Entry) -> str:
@@ -255,7 +255,7 @@ def values(entry: Entry) -> str:
     rows = [
         (REFERENCE_NAMES.get(r.name, r.name), f"{r.value:.9g}", r.source) for r in entry.references
     ]
-    text = table(["policy or bound", "value", "source"], rows)
+    text = markdown_table([["policy or bound", "value", "source"], *rows], numbers=False)
     for reference in {r.policy: r for r in entry.references if r.policy}.values():
         lists = "\n".join(str(list(actions)) for actions in reference.policy)
         text += (
@@ -275,7 +275,7 @@ def listing(entries: Sequence[Entry]) -> str:
     toctree = "\n".join(name(entry) for entry in entries)
     return f"""# Environments
 
-{table(["environment", "form", "what it is"], rows)}
+{markdown_table([["environment", "form", "what it is"], *rows], numbers=False)}
 
 ```{{toctree}}
 :hidden:
@@ -283,12 +283,6 @@ def listing(entries: Sequence[Entry]) -> str:
 {toctree}
 ```
 """
-
-
-def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return a table of Markdown."""
-    lines = [header, ["---"] * len(header), *rows]
-    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ import numpy as np
 
 from baselines.benchmarks import pomdp_learners, team_learners, time_to_value
 from baselines.benchmarks.run_records import Score
-from baselines.report import DASH, number
+from baselines.report import DASH, markdown_table, number
 from baselines.statistics import mean_interval
 from bnprl_envs import registry
 
@@ -146,36 +146,29 @@ def known_values(env: str) -> dict[str, float]:
     return {reference.name: reference.value for reference in registry.entry(env).references}
 
 
-def markdown(cells: Iterable[Sequence[str]]) -> str:
-    """Return a table of Markdown, header first."""
-    header, *body = cells
-    lines = [header, ["---"] * len(header), *body]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
-
-
 def tables(shares: Sequence[float] = time_to_value.SHARES) -> str:
     """Return the tables with what they are of; deep learners at some shares of the way alone."""
     return f"""`predictive-actor-critic`, one agent, from episodes alone
 (`python -m baselines.benchmarks.pomdp_learners`):
 
-{markdown(pomdp_table())}
+{markdown_table(pomdp_table())}
 
 `controller-search`, teams, from a simulator alone (`python -m baselines.benchmarks.team_learners`);
 grid traffic in units that pass in a step:
 
-{markdown(team_table())}
+{markdown_table(team_table())}
 
 Beside deep learners (`python -m baselines.benchmarks.time_to_value`): environment steps and, in
 brackets, processor seconds until a policy has gone a share of the way from random play to the best
 known value; medians of three seeds:
 
-{markdown(deep_table(shares))}
+{markdown_table(deep_table(shares))}
 
 Beside the source, from the kept records of `bnprl reproduce`, whose settings stand in each
 `experiment.json` and whose differences in the notes of each experiment's page; "ours" is
 `predictive-actor-critic`:
 
-{markdown(source_table())}
+{markdown_table(source_table())}
 
 Every row of the first three tables is of the same default settings. Simulated values, those of the
 first table and of grid traffic, may be above an optimum by chance."""
