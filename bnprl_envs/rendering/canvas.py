@@ -167,7 +167,11 @@ class Canvas:
         left = theme.SCENE_BOX[0]
         self.text((left, top + 19), f"step {moment.step}", anchor="lm")
         self.text((left + 110, top + 19), f"reward {reward_text(moment)}", anchor="lm")
-        for row, doing in enumerate(moment.doings):
+        hidden = len(moment.doings) - theme.STATUS_AGENTS
+        if hidden > 0:
+            words = f"and {hidden} more agent{'s' * (hidden > 1)}"
+            self.text((width - 10, top + 19), words, colour=theme.FAINT, anchor="rm")
+        for row, doing in enumerate(moment.doings[: theme.STATUS_AGENTS]):
             y = top + 46 + 24 * row
             self.text((left, y), doing.agent, colour=theme.FAINT, anchor="lm", width=105)
             for x, label, words in ((110, "action", doing.action), (360, "saw", doing.observation)):

@@ -10,6 +10,8 @@ FRAME_SHAPE = (480, 640, 3)
 """Height, width and channels of every frame."""
 LEGEND_HEIGHT = 34
 STATUS_HEIGHT = 92
+STATUS_AGENTS = 2
+"""Agents that the status has lines for."""
 SCENE_BOX = (20.0, 36.0, 620.0, 378.0)
 """Left, top, right and bottom of the room for the scene, in pixels."""
 

@@ -16,6 +16,7 @@ from bnprl_envs import GridTraffic, TabularEnv, TabularParallelEnv
 from bnprl_envs.planning import belief_update
 from bnprl_envs.rendering import FRAME_SHAPE, RENDER_MODES, Doing, Moment, frame, theme
 from bnprl_envs.rendering import canvas as canvas_module
+from tests.agents.cases import random_model
 
 IDS = bnprl_envs.environment_ids()
 PARALLEL = [id for id in IDS if bnprl_envs.entry(id).kind.startswith("parallel")]
@@ -374,3 +375,22 @@ def test_gymnasium_records_videos_of_it(tmp_path):
     Image.fromarray(pictures[-1]).save(tmp_path / "last.png")
     assert len(pictures) == 4
     assert all(picture.shape == FRAME_SHAPE for picture in pictures)
+
+
+def test_the_status_of_many_agents_stays_within_the_picture(monkeypatch):
+    written = {}
+    write = canvas_module.Canvas.text
+
+    def keep(canvas, place, words, *args, **kwargs):
+        written[words] = place
+        write(canvas, place, words, *args, **kwargs)
+
+    monkeypatch.setattr(canvas_module.Canvas, "text", keep)
+    sizes = {"action_sizes": (2, 2, 2), "observation_sizes": (2, 2, 2)}
+    model = random_model(np.random.default_rng(0), **sizes)
+    env = TabularParallelEnv(model, render_mode="rgb_array")
+    env.reset(seed=0)
+    env.step(dict.fromkeys(env.agents, 0))
+    picture = env.render()
+    assert "and 1 more agent" in written
+    assert all(0 <= y < picture.shape[0] for _, y in written.values())
