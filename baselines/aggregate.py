@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.figure import Figure
 
 from baselines import web_page
@@ -23,11 +22,11 @@ from baselines.report import DASH, finished_runs, number, pair_table, print_tabl
 from baselines.study import load_study, read_runs, study_folders
 from baselines.usage import usage_errors
 from bnprl_envs import registry
+from bnprl_envs.tables import FloatArray
 
 if TYPE_CHECKING:
     from baselines.options import Aggregate
 
-FloatArray = npt.NDArray[np.float64]
 Scores = dict[str, dict[str, FloatArray]]
 """Contender -> environment -> (n,) score of each run, 0 as random and 1 as the best known."""
 

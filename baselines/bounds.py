@@ -10,7 +10,6 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 from tqdm import tqdm
 
 from baselines.environment import EnvironmentSpec
@@ -18,11 +17,11 @@ from baselines.report import DASH, REFERENCE_NAMES, number
 from baselines.usage import usage_errors
 from bnprl_envs import memoryless, planning, registry
 from bnprl_envs.model import TabularModel
+from bnprl_envs.tables import FloatArray
 
 if TYPE_CHECKING:
     from baselines.options import Bounds
 
-FloatArray = npt.NDArray[np.float64]
 Progress = Callable[[float, float], None]
 """Called with the seconds used and the best value so far."""
 

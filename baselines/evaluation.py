@@ -12,9 +12,9 @@ import numpy.typing as npt
 
 from baselines.environment import AnyVectorEnv, EnvironmentSpec
 from bnprl_envs.model import TabularModel
+from bnprl_envs.tables import FloatArray
 from bnprl_envs.team import agent_spaces
 
-FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
 COPIES = 1024

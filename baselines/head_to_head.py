@@ -11,11 +11,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from baselines.statistics import Interval, bootstrap_interval
-
-FloatArray = npt.NDArray[np.float64]
+from bnprl_envs.tables import FloatArray
 
 PERMUTATIONS = 9_999
 """Random permutations of a test."""

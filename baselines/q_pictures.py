@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
@@ -16,6 +15,7 @@ from matplotlib.patches import Patch
 from baselines.curves import COLOURS, LIGHT, dress
 from bnprl_agents.gaussian_process.gp_q import GPQ
 from bnprl_agents.value_learner import ValueAgent
+from bnprl_envs.tables import FloatArray
 
 INK = LIGHT.ink
 RESOLUTION = 60
@@ -23,8 +23,6 @@ ARROWS = 15
 """Arrows along each side of a plane that is continuous."""
 COMPASS = ((0.0, 1.0), (0.0, -1.0), (1.0, 0.0), (-1.0, 0.0))
 """Directions on the picture of north, south, east, west, the order of the suite's grids."""
-
-FloatArray = npt.NDArray[np.float64]
 
 
 class Plane:

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from bnprl_envs.tables import FloatArray
+
 CONFIDENCE = 0.95
 FEW = 8
 """Fewer values than this get Student's interval: a bootstrap cannot leave their range, and that of
@@ -17,8 +19,6 @@ RESAMPLES = 9_999
 STRATIFIED_RESAMPLES = 2_000
 DRAWS = 10_000_000
 """Largest number of draws of one interval; large samples get fewer resamples."""
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

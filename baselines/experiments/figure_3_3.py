@@ -64,7 +64,6 @@ def gpq(seed: int, points: IntArray) -> FloatArray:
             agent.observe(action, 10.0, int(state), True, False)
     agent.update()
     found = []
-    agent.reset(0)
     for t, (s, a, s_t) in enumerate(zip(*behaviour(int(points[-1]), seed), strict=True), 1):
         agent.reset(int(s))
         agent.observe(int(a), 0.0, int(s_t), False, False)

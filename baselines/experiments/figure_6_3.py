@@ -31,7 +31,7 @@ from bnprl_agents.search.controller_search import ControllerSearch
 from bnprl_agents.search.settings import ControllerSearchConfig
 from bnprl_agents.training import train
 from bnprl_envs import GridTrafficBatch
-from bnprl_envs.hand_coded import POLICIES, follow_longer_queue
+from bnprl_envs.hand_coded import POLICIES, follow_longer_queue, uniform_policy
 from bnprl_envs.registry import Reference
 from bnprl_envs.team import agent_names, agent_spaces
 
@@ -52,15 +52,13 @@ JUDGING, ACTING = 0, 1
 SIZES: dict[str, Any] = {"nodes": 4, "batch_episodes": 100}
 
 
-def uniformly(seen: Any, t: int, rng: np.random.Generator) -> Any:
-    """Every light by chance."""
-    return rng.integers(2, size=seen.shape)
-
-
 def hand_coded() -> tuple[Reference, ...]:
     """What the policies that need no learning let pass, by simulation."""
     found = []
-    for name, policy in {"random": uniformly, **POLICIES[ID]}.items():
+    for name, policy in {
+        "random": uniform_policy(GridTrafficBatch(COPIES)),
+        **POLICIES[ID],
+    }.items():
         rng = np.random.default_rng(ACTING)
         found.append(Reference(name, units(lambda seen, t: policy(seen, t, rng)), "simulated here"))  # noqa: B023
     return tuple(found)
