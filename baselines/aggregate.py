@@ -19,6 +19,7 @@ from baselines.files import write_atomic
 from baselines.head_to_head import interquartile_mean, pairs, performance_profile
 from baselines.records import RecordError
 from baselines.report import DASH, finished_runs, number, pair_table, print_table
+from baselines.statistics import FEW
 from baselines.study import load_study, read_runs, study_folders
 from baselines.usage import usage_errors
 from bnprl_envs import registry
@@ -33,8 +34,8 @@ Scores = dict[str, dict[str, FloatArray]]
 THRESHOLDS = np.linspace(-0.25, 1.1, 136)
 MEANING = (
     "The interquartile mean leaves out the best and the worst quarter of the runs. Intervals are "
-    "the bootstrap's over runs within environments; p-values are of two-sided permutation tests, "
-    "corrected by Holm for the number of pairs."
+    f"the bootstrap's over runs within environments, too narrow where these are fewer than {FEW}; "
+    "p-values are of two-sided permutation tests, corrected by Holm for the number of pairs."
 )
 NO_PAIRS = "Who beats whom takes two agents that have finished runs in every folder."
 HEADER = ["agent", "interquartile mean", "95% interval", "mean", "runs"]
@@ -93,9 +94,11 @@ def read_scores(folders: Sequence[Path]) -> Scores:
 
     Raises:
         RecordError: a folder holds no experiment.
-        ValueError: an environment is there twice, or has no known random and best values, or
-            no contender has finished runs in all of them.
+        ValueError: there is no folder, an environment is there twice, or has no known random and
+            best values, or no contender has finished runs in all of them.
     """
+    if not folders:
+        raise ValueError("give the folders of one comparison or more")
     found: dict[str, dict[str, FloatArray]] = {}
     for folder in (place for given in folders for place in study_folders(given)):
         study = load_study(folder)

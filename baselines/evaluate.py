@@ -15,10 +15,9 @@ from baselines.commands import environment_of
 from baselines.environment import EnvironmentSpec
 from baselines.evaluation import Evaluation, evaluate
 from baselines.learners import load_policy
-from baselines.records import RunFiles
 from baselines.report import DASH, number, print_table
 from baselines.statistics import mean_interval
-from baselines.study import load_study, trusted_environment
+from baselines.study import load_study, read_runs, trusted_environment
 from baselines.usage import usage_errors
 from bnprl_agents.policy_files import PolicyFileError
 
@@ -71,21 +70,19 @@ def _find_policies(options: Evaluate) -> tuple[EnvironmentSpec, list[tuple[str, 
             raise ValueError(f"{target}: lies in no experiment's folder; name it with --env ID")
         return trusted_environment(load_study(folder)), [(target.name, target)]
     study = load_study(target)
-    experiment = study.experiment
-    runs = (
-        RunFiles(target, entry.name, index)
-        for entry in experiment.entries
-        for index in range(experiment.seeds)
-    )
-    found = [(files, files.find_policy()) for files in runs]
+    found = [
+        (files, files.find_policy() if records.finished else None)
+        for files, records in read_runs(study.experiment, target).items()
+    ]
     policies = [(files.contender, path) for files, path in found if path is not None]
     missing = [files.name for files, path in found if path is None]
     if policies and missing:
         _log.warning(
-            "no policy of %s; the command that made the folder makes it", ", ".join(missing)
+            "no policy of a finished run of %s; the command that made the folder makes it",
+            ", ".join(missing),
         )
     if not policies:
-        raise ValueError(f"{target}: holds no policy yet")
+        raise ValueError(f"{target}: holds no policy of a finished run yet")
     environment = trusted_environment(study) if options.env is None else environment_of(options.env)
     return environment, policies
 

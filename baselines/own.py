@@ -43,6 +43,8 @@ def agent_class(name: str) -> Any:
 
     module, _, attribute = name.partition(":")
     found = getattr(import_module(module, name), attribute, None)
+    if found is None:
+        raise ValueError(f"{name}: {module} has no {attribute}")
     if not (isinstance(found, type) and issubclass(found, Agent)):
         raise ValueError(f"{name}: {attribute} is no subclass of bnprl_agents.Agent")
     if missing := sorted(getattr(found, "__abstractmethods__", ())):

@@ -116,6 +116,8 @@ def study_folders(folder: Path, *, required: bool = True) -> list[Path]:
     """
     if (folder / FILE).is_file():
         return [folder]
+    if required and not folder.is_dir():
+        raise RecordError(f"{folder}: there is no such folder")
     below = sorted(path.parent for path in folder.glob(f"*/{FILE}"))
     if required and not below:
         raise RecordError(f"{folder}: holds no experiment ({FILE} is missing)")

@@ -8,6 +8,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
+from bnprl_agents.copies import integers
 from bnprl_agents.episodes import BoolArray, FloatArray, IntArray
 
 
@@ -96,7 +97,7 @@ class DiscreteSpaces:
 
     def _indices(self, name: str, value: Any, spaces: list[gym.spaces.Discrete]) -> IntArray:
         starts = np.array([space.start for space in spaces])
-        indices: IntArray = _integers(name, self._rows(name, value)) - starts
+        indices: IntArray = integers(name, self._rows(name, value)) - starts
         outside = (indices < 0) | (indices >= [space.n for space in spaces])
         if outside.any():
             copy, agent = np.argwhere(outside)[0]
@@ -141,19 +142,6 @@ def _discrete(name: str, space: Any, agents: tuple[str, ...] | None) -> list[gym
             hint = f"; discretise a Box first: gymnasium.wrappers.{wrapper}(env, 10)" if box else ""
             raise ValueError(f"{name}: {part}, but this agent needs Discrete{hint}")
     return spaces
-
-
-def _integers(name: str, value: Any) -> IntArray:
-    """Whole numbers; floating-point ones pass where nothing is lost."""
-    values = np.asarray(value)
-    if values.dtype.kind in "iub":
-        return values.astype(np.int64)
-    if values.dtype.kind != "f":
-        raise ValueError(f"{name}: {values.flat[0]!r} of type {values.dtype}, must be an integer")
-    broken = ~np.isfinite(values) | (values != np.trunc(values))
-    if broken.any():
-        raise ValueError(f"{name}: {values[broken][0]}, must be an integer")
-    return values.astype(np.int64)
 
 
 def _unbatched(column: IntArray, like: Any) -> Any:

@@ -8,6 +8,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
+from bnprl_agents.copies import integers
 from bnprl_agents.episodes import FloatArray
 from bnprl_agents.settings import check_entries
 
@@ -89,12 +90,9 @@ class Features:
         return np.ndim(observation) > len(self.space.shape or ())
 
     def _cells(self, observation: Any, space: gym.spaces.Discrete) -> Any:
-        cells = np.atleast_1d(np.asarray(observation))
-        if cells.dtype.kind not in "iu":
-            if not np.isfinite(cells).all() or (cells != np.floor(cells)).any():
-                raise ValueError(f"observation: {observation}, must be an integer")
-            cells = cells.astype(np.int64)
-        cells = cells - int(space.start)
+        cells = integers("observation", np.atleast_1d(observation)) - int(space.start)
+        if cells.ndim > 1:
+            raise ValueError(f"observation: shape {cells.shape}, must be a number or (n,)")
         if ((cells < 0) | (cells >= space.n)).any():
             raise ValueError(f"observation: {observation} lies outside {space}")
         return cells

@@ -9,7 +9,7 @@ import gymnasium as gym
 import numpy as np
 
 from bnprl_agents.agent import Agent, Metrics
-from bnprl_agents.copies import check_copies, require_alive
+from bnprl_agents.copies import check_copies, integers, require_alive
 from bnprl_agents.episodes import BoolArray, FloatArray, IntArray
 from bnprl_agents.features import Features
 from bnprl_agents.policy_files import Arrays
@@ -207,7 +207,7 @@ class ValueAgent(Agent):
         self.restore_learned(arrays)
 
     def _indices(self, action: Any) -> IntArray:
-        indices: IntArray = np.atleast_1d(np.asarray(action)).astype(np.int64) - self._first_action
+        indices: IntArray = integers("action", np.atleast_1d(action)) - self._first_action
         if ((indices < 0) | (indices >= self.n_actions)).any():
             raise ValueError(f"action: {action} lies outside {self.action_space}")
         return indices

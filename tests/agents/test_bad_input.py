@@ -31,6 +31,7 @@ two_kinds = pytest.mark.parametrize("agent_class", [BatchEM, PredictiveActorCrit
     ("part", "value"),
     [
         ("action", [0, 1, 1]),
+        ("action", [0.5, 1.0]),
         ("action", [[0, 1]]),
         ("reward", 1.0),
         ("reward", [[1.0, 0.0]]),
@@ -51,7 +52,7 @@ def test_a_transition_of_other_copies_is_refused_and_changes_nothing(agent_class
     }
     for agent in agents:
         agent.reset([0, 1])
-    with pytest.raises(ValueError, match=rf"^{part}: shape"):
+    with pytest.raises(ValueError, match=rf"^{part}: (shape|0.5, must be an integer)"):
         agents[0].observe(**(fits | {part: value}))
     for agent in agents:
         agent.observe(**fits)
@@ -90,6 +91,12 @@ def test_observations_that_are_no_teams(value, words):
     agent = BatchEM(*TEAM, discount=0.9, seed=0)
     with pytest.raises(ValueError, match=rf"^observation: {words}"):
         agent.reset(value)
+
+
+@pytest.mark.parametrize("value", [np.zeros((2, 2), int), "a", None, 0.5, [3]])
+def test_observations_that_are_no_cells(value):
+    with pytest.raises(ValueError, match=r"^observation: "):
+        Features(ONE[0])(value)
 
 
 @pytest.mark.parametrize("value", [0.3, np.zeros(4), np.zeros((2, 3)), np.zeros((1, 2, 2))])

@@ -275,7 +275,7 @@ def test_folders_and_files_that_are_not_what_they_should_be(
     study = tmp_path / "study"
     study.mkdir()
     open_study(study, experiment(Entry.of("random")), "command")
-    assert "holds no policy yet" in refused(capsys, "evaluate", str(study))
+    assert "holds no policy of a finished run yet" in refused(capsys, "evaluate", str(study))
     for seed in (0, 1):
         policy = RunFiles(study, "random", seed).policy(".npz")
         policy.parent.mkdir(parents=True, exist_ok=True)

@@ -113,6 +113,8 @@ def test_comparisons_are_joined(
     assert all(words in page for words in ("strong", "bnprl/Tag-v0", 'id="pairs"', "1.000"))
     assert "strong" in capsys.readouterr().out
 
+    assert main(["aggregate", "--out", str(out)]) == 2
+    assert "give the folders" in capsys.readouterr().err
     assert main(["aggregate", folders[0], folders[0], "--out", str(out)]) == 2
     assert "is there twice" in capsys.readouterr().err
     write(tmp_path / "alone", "bnprl/Tag-v0", {"strong": [-6.0] * 3})

@@ -48,7 +48,7 @@ def test_an_own_agent_is_trained_set_evaluated_and_loaded(
     ("name", "reason"),
     [
         ("no_such_module:Sarsa", "cannot import no_such_module"),
-        ("examples.my_agent:Nothing", "Nothing is no subclass of bnprl_agents.Agent"),
+        ("examples.my_agent:Nothing", "examples.my_agent has no Nothing"),
         ("pathlib:Path", "Path is no subclass of bnprl_agents.Agent"),
         ("bnprl_agents.history_agent:HistoryAgent", "HistoryAgent lacks "),
     ],
