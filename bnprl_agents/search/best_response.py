@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 
 from bnprl_agents.episodes import FloatArray, IntArray
-from bnprl_agents.search.simulator import TeamSimulator, UInt64Array
+from bnprl_agents.search.simulator import CUT, OVER, TeamSimulator, UInt64Array
 from bnprl_agents.search.tables import DecisionTables
 
 EXPLORATION = 0.2
@@ -37,8 +37,8 @@ def respond_in_turn(
     agent, refused = first, 0
     while refused < n_agents:
         own = rng.integers(2**64, size=SEEDS, dtype=np.uint64)
-        tried, earned = simulator.experience(team, agent, EXPLORATION, own)
-        response = best_response(team, agent, tried, earned, discount, simulator.horizon)
+        followed, earned = simulator.experience(team, agent, EXPLORATION, own)
+        response = best_response(team, agent, followed, earned, discount, simulator.horizon)
         found = simulator.returns(response, seeds)[0].mean()
         if found > value:
             team, value, refused = response, found, 0
@@ -51,7 +51,7 @@ def respond_in_turn(
 def best_response(
     team: DecisionTables,
     agent: int,
-    tried: IntArray,
+    followed: IntArray,
     earned: FloatArray,
     discount: float,
     horizon: int,
@@ -59,28 +59,39 @@ def best_response(
     """The team with an agent's actions replaced by its best ones, its nodes taken as states.
 
     Value iteration on Q(z, a) = r(z, a) + discount sum_o p(o | z, a) max_b Q(z'(z, o), b), where r
-    and p are the means of what was tried: the best response within the memory, if that is Markov.
+    and p are estimated by `estimates`: the best response within the memory, if that is Markov.
 
     Args:
         team: one candidate.
         agent: who responds.
-        tried: (Z, A, O) how often an observation followed an action in a node.
+        followed: (Z, A, O + 2) what followed an action in a node; see `TeamSimulator.experience`.
         earned: (Z, A) sum of the rewards of an action in a node.
         discount: factor in (0, 1].
         horizon: sweeps.
     """
     role = team.roles[agent]
-    times = tried.sum(axis=2)
-    trusted = times >= TRUSTED
+    trusted = followed.sum(axis=2) >= TRUSTED
     decided = trusted.any(axis=1)
-    reward = earned / np.maximum(times, 1)
-    chance = tried / np.maximum(times, 1)[..., None]
+    reward, chance = estimates(followed, earned)
     quality = values_of_actions(
         chance, reward, trusted, team.successor[0, role, :-1], discount, horizon
     )
     action = team.action.copy()
     action[0, role, decided] = quality[decided].argmax(axis=1)
     return DecisionTables(team.roles, action, team.successor)
+
+
+def estimates(followed: IntArray, earned: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Mean reward r(z, a), (Z, A), and chance p(o | z, a) of each observation, (Z, A, O).
+
+    The reward is a mean over all actions, the chance one over those that the horizon did not cut,
+    for the horizon tells nothing of what the action leads to, and the sweeps count it already.
+    Chances sum to less than 1 where episodes end, and to 0 in a node that is met at the horizon's
+    last step alone: there the reward is all that the action can bring.
+    """
+    seen, known = followed[..., :OVER], followed[..., :CUT].sum(axis=2)
+    reward = earned / np.maximum(followed.sum(axis=2), 1)
+    return reward, seen / np.maximum(known, 1)[..., None]
 
 
 @njit(cache=True)

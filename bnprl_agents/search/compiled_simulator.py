@@ -25,14 +25,15 @@ class Record(NamedTuple):
         visits: (M, Z + 1, O) discounted lookups of successors; empty: not counted.
         explorer: the agent that explores, -1 for none.
         exploration: probability with which it acts uniformly at random.
-        tried: (Z, A, O) its node, action and next observation.
+        followed: (Z, A, O + 2) its node, its action, and what followed: an observation, `OVER`,
+            or `CUT`.
         earned: (Z, A) sum of rewards after its action.
     """
 
     visits: FloatArray
     explorer: int
     exploration: float
-    tried: IntArray
+    followed: IntArray
     earned: FloatArray
 
 
@@ -79,15 +80,15 @@ class CompiledSimulator(abc.ABC):
         self, team: DecisionTables, agent: int, exploration: float, seeds: UInt64Array
     ) -> tuple[IntArray, FloatArray]:
         """Explore as one agent; see `TeamSimulator.experience`."""
-        shape = (team.start, self.action_sizes[agent], team.successor.shape[3])
+        shape = (team.start, self.action_sizes[agent], team.successor.shape[3] + 2)
         record = _record()._replace(
             explorer=agent,
             exploration=exploration,
-            tried=np.zeros(shape, dtype=np.int64),
+            followed=np.zeros(shape, dtype=np.int64),
             earned=np.zeros(shape[:2]),
         )
         self._counted(team, seeds, record)
-        return record.tried, record.earned
+        return record.followed, record.earned
 
     def _counted(self, teams: DecisionTables, seeds: UInt64Array, record: Record) -> FloatArray:
         returns = np.zeros((len(teams.action), len(seeds)))

@@ -18,6 +18,9 @@ UInt64Array = npt.NDArray[np.uint64]
 
 TAIL = 2e-3
 """Share of the discounted weight that may lie beyond the steps that are simulated."""
+OVER, CUT = -2, -1
+"""What may follow an action instead of an observation: the end of the episode, or the horizon,
+behind which nobody looks."""
 
 
 class TeamSimulator(Protocol):
@@ -55,8 +58,8 @@ class TeamSimulator(Protocol):
         """What happens to an agent that acts uniformly at random with some probability.
 
         Returns:
-            (Z, A, O) how often an observation followed an action in a node, and (Z, A) the sum of
-            the rewards that did.
+            (Z, A, O + 2) how often an observation followed an action in a node, or its episode was
+            `OVER`, or `CUT` by the horizon; and (Z, A) the sum of the rewards that followed.
         """
 
 

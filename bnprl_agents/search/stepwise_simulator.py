@@ -11,7 +11,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 
 from bnprl_agents.discrete import DiscreteSpaces
 from bnprl_agents.episodes import BoolArray, FloatArray, IntArray
-from bnprl_agents.search.simulator import UInt64Array, effective_horizon
+from bnprl_agents.search.simulator import CUT, OVER, UInt64Array, effective_horizon
 from bnprl_agents.search.tables import DecisionTables
 
 
@@ -82,19 +82,18 @@ class StepwiseSimulator:
         self, team: DecisionTables, agent: int, exploration: float, seeds: UInt64Array
     ) -> tuple[IntArray, FloatArray]:
         """Explore as one agent; see `TeamSimulator.experience`."""
-        shape = (team.start, self.action_sizes[agent], team.successor.shape[3])
-        tried, earned = np.zeros(shape, dtype=np.int64), np.zeros(shape[:2])
+        shape = (team.start, self.action_sizes[agent], team.successor.shape[3] + 2)
+        followed, earned = np.zeros(shape, dtype=np.int64), np.zeros(shape[:2])
         only = _Team(team.roles, team.action[0], team.successor[0])
         for seed in seeds.tolist():
-            last: IntArray | None = None
-            for step in self._episode(only, seed, agent, exploration):
-                node, action = step.node[:, agent], step.action[:, agent]
-                if last is not None:
-                    where = (step.before[:, agent], last, step.seen[:, agent])
-                    np.add.at(tried, tuple(part[step.alive] for part in where), 1)
-                np.add.at(earned, (node[step.alive], action[step.alive]), step.reward[step.alive])
-                last = action
-        return tried, earned
+            for t, step in enumerate(self._episode(only, seed, agent, exploration)):
+                what = np.where(step.over, OVER, step.after[:, agent])
+                if t == self.horizon - 1:
+                    what[:] = CUT
+                where = (step.node[step.alive, agent], step.action[step.alive, agent])
+                np.add.at(followed, (*where, what[step.alive]), 1)
+                np.add.at(earned, where, step.reward[step.alive])
+        return followed, earned
 
     def _episode(
         self, team: _Team, seed: int, explorer: int = -1, exploration: float = 0.0
@@ -114,14 +113,14 @@ class StepwiseSimulator:
                 action[:, explorer] = np.where(exploring, random, action[:, explorer])
             after, reward, ended = self._copies.step(action)
             self.steps += int(alive.sum())
-            yield _Step(alive, before, seen, node, action, reward)
+            yield _Step(alive, before, seen, node, action, reward, after, ended)
             seen, alive = after, alive & ~ended
             if not alive.any():
                 return
 
 
 class _Step(NamedTuple):
-    """One step of all copies: (copies,) alive and reward, (copies, N) the others.
+    """One step of all copies: (copies,) alive, reward and over, (copies, N) the others.
 
     Attributes:
         alive: whose episode was running.
@@ -130,6 +129,8 @@ class _Step(NamedTuple):
         node: nodes after them.
         action: what was done.
         reward: what it earned the team.
+        after: observations after it.
+        over: whose episode ended with it.
     """
 
     alive: BoolArray
@@ -138,6 +139,8 @@ class _Step(NamedTuple):
     node: IntArray
     action: IntArray
     reward: FloatArray
+    after: IntArray
+    over: BoolArray
 
 
 class _Team(NamedTuple):

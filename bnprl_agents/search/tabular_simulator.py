@@ -14,7 +14,7 @@ from bnprl_agents.search.compiled_simulator import (
     explored,
     hashed,
 )
-from bnprl_agents.search.simulator import UInt64Array
+from bnprl_agents.search.simulator import CUT, OVER, UInt64Array
 from bnprl_agents.search.tables import DecisionTables
 from bnprl_envs.model import TabularModel
 from bnprl_envs.sampling import draw
@@ -77,14 +77,12 @@ def _simulate(  # type: ignore[no-untyped-def]
             sight = state if sampler.informative_start else np.uint32(sampler.n_observations)
             node[:] = start
             factor = 1.0
-            for _ in range(horizon):
+            for t in range(horizon):
                 joint = 0
                 for n in range(roles.size):
                     role, seen = roles[n], parts[sight, n]
                     if counting:
                         record.visits[role, node[n], seen] += factor
-                    if n == explorer and node[n] < start:
-                        record.tried[node[n], choice, seen] += 1
                     node[n] = successor[b, role, node[n], seen]
                     chosen = action[b, role, node[n]]
                     if n == explorer:
@@ -103,10 +101,15 @@ def _simulate(  # type: ignore[no-untyped-def]
                 )
                 reward = sampler.reward[move, sight if rewards_seen else 0]
                 returns[b, e] += factor * reward
+                over = sampler.terminal[state]
                 if explorer >= 0:
+                    what = OVER if over else parts[sight, explorer]
+                    if t == horizon - 1:
+                        what = CUT
+                    record.followed[node[explorer], choice, what] += 1
                     record.earned[node[explorer], choice] += reward
                 factor *= discount
                 steps += 1
-                if sampler.terminal[state]:
+                if over:
                     break
     return steps

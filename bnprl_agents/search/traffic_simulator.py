@@ -14,7 +14,7 @@ from bnprl_agents.search.compiled_simulator import (
     explored,
     hashed,
 )
-from bnprl_agents.search.simulator import UInt64Array
+from bnprl_agents.search.simulator import CUT, UInt64Array
 from bnprl_agents.search.tables import DecisionTables
 from bnprl_envs.grid_traffic_batch import HORIZONTAL, GridTrafficBatch
 
@@ -67,11 +67,9 @@ def _simulate(  # type: ignore[no-untyped-def]
             x = seeds[e]
             queues[:] = 0
             node[:] = teams.action.shape[2]
-            factor, choice = 1.0, 0
-            for _ in range(horizon):
-                choice = _decide(
-                    teams, b, queues, rows, capacity, node, opened, factor, record, x, choice
-                )
+            factor = 1.0
+            for t in range(horizon):
+                choice = _decide(teams, b, queues, rows, capacity, node, opened, factor, record, x)
                 passed = 0
                 for line in range(queues.size):
                     if opened[line]:
@@ -84,27 +82,36 @@ def _simulate(  # type: ignore[no-untyped-def]
                         queues[line] += 1
                 returns[b, e] += factor * passed
                 if record.explorer >= 0:
+                    what = _seen(queues, rows, capacity, record.explorer)
+                    if t == horizon - 1:
+                        what = CUT
+                    record.followed[node[record.explorer], choice, what] += 1
                     record.earned[node[record.explorer], choice] += passed
                 factor *= discount
 
 
 @njit(cache=True, inline="always")
+def _seen(queues, rows, capacity, n):  # type: ignore[no-untyped-def]
+    """What an agent sees: the queues of its row and its column."""
+    i, j = n // (queues.size - rows), n % (queues.size - rows)
+    return queues[i] * (capacity + 1) + queues[rows + j]
+
+
+@njit(cache=True, inline="always")
 def _decide(  # type: ignore[no-untyped-def]
-    teams, b, queues, rows, capacity, node, opened, factor, record, x, choice
+    teams, b, queues, rows, capacity, node, opened, factor, record, x
 ):
     """Move every agent's node by what it sees, and open the lines that all agree on.
 
-    Takes and returns the explorer's last action.
+    Returns the explorer's action.
     """
-    columns = queues.size - rows
+    columns, choice = queues.size - rows, 0
     opened[:] = True
     for n in range(node.size):
         i, j = n // columns, n % columns
-        role, seen = teams.roles[n], queues[i] * (capacity + 1) + queues[rows + j]
+        role, seen = teams.roles[n], _seen(queues, rows, capacity, n)
         if record.visits.size > 0:
             record.visits[role, node[n], seen] += factor
-        if n == record.explorer and node[n] < teams.action.shape[2]:
-            record.tried[node[n], choice, seen] += 1
         node[n] = teams.successor[b, role, node[n], seen]
         action = teams.action[b, role, node[n]]
         if n == record.explorer:

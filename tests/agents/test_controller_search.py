@@ -7,12 +7,12 @@ from pettingzoo import ParallelEnv
 
 import bnprl_envs
 from bnprl_agents import ControllerSearch, ControllerSearchConfig, controller_value, load, train
-from bnprl_agents.search.best_response import best_response, respond_in_turn
+from bnprl_agents.search.best_response import best_response, estimates, respond_in_turn
 from bnprl_agents.search.climbing import race
 from bnprl_agents.search.memory import MemoryShape, random_tables, remembering_more, shapes
 from bnprl_agents.search.moves import ACT, BRANCH, REDIRECT, apply_moves, list_moves
 from bnprl_agents.search.roles import shared_roles
-from bnprl_agents.search.simulator import simulator_of
+from bnprl_agents.search.simulator import CUT, OVER, simulator_of
 from bnprl_agents.search.stepwise_simulator import StepwiseSimulator
 from bnprl_agents.search.tables import DecisionTables
 from bnprl_agents.search.tabular_simulator import TabularSimulator
@@ -296,11 +296,12 @@ def test_the_compiled_traffic_agrees_in_law_with_the_environment():
     visits = [s.visits(teams, seeds(k)) for s, k in ((compiled, 4000), (stepwise, 20))]
     np.testing.assert_allclose(visits[0], visits[1], atol=0.25)
     np.testing.assert_allclose(visits[0].sum(), visits[1].sum(), rtol=1e-12)
-    tried = [
+    followed = [
         s.experience(teams, 4, 0.5, seeds(k))[0] / k for s, k in ((compiled, 4000), (stepwise, 20))
     ]
-    np.testing.assert_allclose(tried[0], tried[1] / 100, atol=0.25)
-    assert tried[0].sum() == pytest.approx(compiled.horizon - 1)
+    np.testing.assert_allclose(followed[0], followed[1] / 100, atol=0.25)
+    assert followed[0].sum() == pytest.approx(compiled.horizon)
+    assert [followed[0][..., what].sum() for what in (OVER, CUT)] == [0.0, 1.0]
 
 
 def test_experience_estimates_the_model_of_a_lone_agent():
@@ -311,18 +312,71 @@ def test_experience_estimates_the_model_of_a_lone_agent():
     team = random_tables(
         MemoryShape(1, 1), np.zeros(1, int), np.array([2]), seen, 5, np.random.default_rng(0)
     )
-    tried, earned = simulator.experience(team, 0, 0.5, seeds(2000))
+    followed, earned = simulator.experience(team, 0, 0.5, seeds(2000))
     states = team.successor[0, 0, 0, :4]  # the node of each state
-    chance = tried[states] / tried[states].sum(axis=2, keepdims=True)
+    reward, chance = (estimate[states] for estimate in estimates(followed, earned))
     np.testing.assert_allclose(chance[..., :4].transpose(1, 0, 2), model.transition, atol=0.05)
-    mean = earned[states] / tried[states].sum(axis=2)
-    np.testing.assert_allclose(mean.T, model.expected_reward, atol=0.05)
-    response = best_response(team, 0, tried, earned, 0.9, simulator.horizon)
+    np.testing.assert_allclose(reward.T, model.expected_reward, atol=0.05)
+    response = best_response(team, 0, followed, earned, 0.9, simulator.horizon)
     sweeps = np.zeros(4)
     for _ in range(300):
         quality = model.expected_reward + 0.9 * model.transition @ sweeps
         sweeps = quality.max(axis=0)
     assert response.action[0, 0, states].tolist() == quality.argmax(axis=0).tolist()
+
+
+def leaving_or_staying(leaves, reward):
+    """One place, and what lies behind it: how likely each of two actions leaves, and earns."""
+    stay = 1.0 - np.array(leaves)
+    return TabularModel(
+        transition=np.stack([np.stack([stay, 1.0 - stay], axis=1), [[0.0, 1.0]] * 2], axis=1),
+        observation=np.ones((2, 2, 1)),
+        reward=np.outer(reward, [1.0, 0.0])[:, :, None, None],
+        start=np.array([1.0, 0.0]),
+        terminal=np.array([False, True]),
+        discount=0.9,
+        action_sizes=(2,),
+        observation_sizes=(1,),
+    )
+
+
+ONE_NODE = DecisionTables(
+    np.zeros(1, int), np.zeros((1, 1, 1), np.int32), np.zeros((1, 1, 2, 2), np.int32)
+)
+
+
+@pytest.fixture(params=["compiled", "stepwise"])
+def simulated(request):
+    """Makes a simulator of a model and a horizon."""
+
+    def make(model, horizon):
+        if request.param == "compiled":
+            return TabularSimulator(model, discount=0.9, max_episode_steps=horizon)
+        batch = TabularParallelBatch(model, 20, max_episode_steps=horizon)
+        return StepwiseSimulator(batch, discount=0.9, max_episode_steps=horizon)
+
+    return make
+
+
+def test_an_action_that_ends_the_episode_is_a_response_like_any_other(simulated):
+    simulator = simulated(leaving_or_staying((0.0, 1.0), (0.1, 10.0)), 100)
+    followed, earned = simulator.experience(ONE_NODE, 0, 0.5, seeds(50))
+    assert best_response(ONE_NODE, 0, followed, earned, 0.9, 100).action.tolist() == [[[1]]]
+    assert followed[0, 1, :-2].sum() == 0.0  # no decision follows it
+    assert followed[0, 1, OVER] + followed[0, :, CUT].sum() == simulator.episodes
+
+
+@pytest.mark.parametrize("horizon", [1, 2, 12])
+@pytest.mark.parametrize("leaves", [0.0, 0.5])
+def test_estimates_are_of_all_actions_wherever_episodes_end(simulated, horizon, leaves):
+    simulator = simulated(leaving_or_staying((leaves, leaves), (2.0, 2.0)), horizon)
+    begun = seeds(4000 // simulator.copies)
+    reward, chance = estimates(*simulator.experience(ONE_NODE, 0, 0.5, begun))
+    np.testing.assert_array_equal(reward, 2.0)
+    if horizon == 1:  # nothing is known to follow
+        assert (chance == 0.0).all()
+    else:
+        np.testing.assert_allclose(chance.sum(axis=2), 1.0 - leaves, atol=0.12 * leaves)
 
 
 def test_responses_in_turn_never_lose():
