@@ -39,10 +39,11 @@ LOOKS = 256
 class ControllerSearch(ControllerAgent):
     """Local search over deterministic controllers, scored by simulated episodes.
 
-    Three activities share the simulated steps evenly. *Explore*: a random memory (a clock's phase
-    and the last observations, `MemoryShape`) with random actions; in half of the cases the agents
-    respond to each other in turn, each by value iteration on what it met while exploring, until
-    nobody gains; then single actions are climbed. *Refine*: the best restart becomes free
+    Four activities share the simulated steps by `SHARES`. *Explore*: a random memory (a clock's
+    phase and the last observations, `MemoryShape`) with random actions; in half of the cases the
+    agents respond to each other in turn, each by value iteration on what it met while exploring,
+    until nobody gains; then single actions are climbed. *Walk*: within one memory an agent's
+    actions are disturbed and all respond again. *Refine*: the best restart becomes free
     controllers, whose every action and successor is climbed, new nodes included. *Polish*: a good
     team is disturbed, or its nodes split by the last observation, and is refined again. All
     comparisons are paired on common random numbers, and candidates race by successive halving.
@@ -55,7 +56,8 @@ class ControllerSearch(ControllerAgent):
 
     Attributes:
         elites: refined teams, best first.
-        restarts: climbed restarts that wait for refinement, best first.
+        restarts: climbed restarts and walks that wait for refinement, best first.
+        walks: where the walk within each memory has come, best first.
         spent: simulated steps of each activity.
     """
 
@@ -139,8 +141,8 @@ class ControllerSearch(ControllerAgent):
             steps: within which a climb is broken off, so that what it found can be judged.
 
         Returns:
-            value: judged value of the controllers; nodes: of the largest one; restarts and elites:
-            how many teams are kept; and the steps spent on each activity so far.
+            value: judged value of the controllers; nodes: of the largest one; and for each
+            activity `<name>_steps`, which it has had so far.
 
         Raises:
             ValueError: the simulator has other action or observation sizes than the agent.
@@ -173,7 +175,7 @@ class ControllerSearch(ControllerAgent):
         possible = ["explore"]
         if self.role_actions.size == self.roles.size:  # agents that share tables cannot respond
             possible.append("walk")
-        if self.restarts.values.size == self.config.candidates:
+        if self.restarts.values.size:
             possible.append("refine")
         if self.elites.values.size:
             possible.append("polish")
@@ -314,7 +316,7 @@ class ControllerSearch(ControllerAgent):
         """Take over a saved state; see `Agent.restore`."""
         super().restore(arrays, counters)
         self.judges, self.seen = arrays["judges"], arrays["met"]
-        self.restarts = self.restarts.restored("restarts", arrays)
-        self.walks = self.walks.restored("walks", arrays)
-        self.elites = self.elites.restored("elites", arrays)
+        self.restarts = self.restarts.restored("restarts", arrays, self.role_actions)
+        self.walks = self.walks.restored("walks", arrays, self.role_actions)
+        self.elites = self.elites.restored("elites", arrays, self.role_actions)
         self.spent = {name: int(counters["spent"][name]) for name in SHARES}

@@ -40,7 +40,7 @@ class Leaderboard(NamedTuple):
 
     def added(self, team: DecisionTables, value: float, label: int, size: int) -> Leaderboard:
         """The board of the best `size` teams with one more; one of a known value is left out."""
-        if np.isclose(self.values, value, rtol=1e-9).any():
+        if np.isclose(self.values, value, rtol=1e-9, atol=0.0).any():
             return self
         values = np.append(self.values, value)
         kept = np.argsort(-values, kind="stable")[:size]
@@ -79,8 +79,8 @@ class Leaderboard(NamedTuple):
             f"{name}_successor": self.teams.successor,
         }
 
-    def restored(self, name: str, arrays: Arrays) -> Leaderboard:
-        """The board that `state_arrays` gave, for the same roles and sizes.
+    def restored(self, name: str, arrays: Arrays, action_sizes: IntArray) -> Leaderboard:
+        """The board that `state_arrays` gave, for the same roles, actions (M,) and sizes.
 
         Raises:
             ValueError: an array does not fit.
@@ -98,4 +98,6 @@ class Leaderboard(NamedTuple):
                 raise ValueError(f"{name}_{part}: shape {array.shape}, must be {wanted}")
         if successor.size and not 0 <= successor.min() <= successor.max() < action.shape[2]:
             raise ValueError(f"{name}_successor: holds a node that does not exist")
+        if not ((action >= 0) & (action < action_sizes[:, None])).all():
+            raise ValueError(f"{name}_action: holds an action that does not exist")
         return Leaderboard(values, labels, DecisionTables(self.teams.roles, action, successor))

@@ -6,6 +6,9 @@ from dataclasses import dataclass
 
 from bnprl_agents.settings import Settings
 
+MOST = 1_000_000
+"""Of every setting: a policy file may come from anybody, and its seeds are drawn to read it."""
+
 
 @dataclass(frozen=True)
 class ControllerSearchConfig(Settings):
@@ -38,5 +41,5 @@ class ControllerSearchConfig(Settings):
         super().__post_init__()
         for name, value in vars(self).items():
             least = 0 if name == "widest_window" else 1
-            if value < least:
-                raise ValueError(f"{name}: {value}, must be at least {least}")
+            if not least <= value <= MOST:
+                raise ValueError(f"{name}: {value}, must be at least {least} and at most {MOST:,}")

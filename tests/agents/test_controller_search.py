@@ -7,8 +7,10 @@ from pettingzoo import ParallelEnv
 
 import bnprl_envs
 from bnprl_agents import ControllerSearch, ControllerSearchConfig, controller_value, load, train
+from bnprl_agents.policy_files import PolicyFileError
 from bnprl_agents.search.best_response import best_response, estimates, respond_in_turn
 from bnprl_agents.search.climbing import race
+from bnprl_agents.search.leaderboard import Leaderboard
 from bnprl_agents.search.memory import MemoryShape, random_tables, remembering_more, shapes
 from bnprl_agents.search.moves import ACT, BRANCH, REDIRECT, apply_moves, list_moves
 from bnprl_agents.search.roles import shared_roles
@@ -413,6 +415,23 @@ def test_a_walk_leaves_where_nobody_gains_alone():
     assert best.value == simulator.returns(best.team, seeds(8)).mean()
 
 
+def test_a_leaderboard_does_not_look_at_the_scale_of_rewards():
+    board = Leaderboard.empty(np.zeros(1, int), 1, 2)
+    for value in (3e-9, 1e-9, 2e-9, 2e-9):
+        board = board.added(ONE_NODE, value, 0, 4)
+    assert board.values.tolist() == [3e-9, 2e-9, 1e-9]
+
+
+def test_a_world_with_few_values_is_refined_too():
+    model = leaving_or_staying((1.0, 1.0), (1.0, 2.0))
+    agent = agent_for(TabularParallelEnv(model, max_cycles=10))
+    simulator = simulate(model)
+    for _ in range(6):
+        metrics = agent.improve(simulator, 100_000)
+    assert metrics["value"] == agent.elites.values[0] == 2.0
+    assert all(agent.spent.values())
+
+
 def test_roles():
     roles, members = shared_roles([2, 2, 3], [4, 4, 4], largest_team=2)
     assert roles.tolist() == [0, 0, 1]
@@ -429,6 +448,27 @@ def test_a_loaded_search_goes_on_bit_for_bit(uneven, tmp_path):
     twin = load(tmp_path / "policy.npz")
     for _ in range(5):
         assert agent.improve(simulate(uneven), 100_000) == twin.improve(simulate(uneven), 100_000)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "reason"),
+    [
+        ("walks_successor", 8, "holds a node that does not exist"),
+        ("restarts_action", 2, "holds an action that does not exist"),  # of the first agent
+        ("elites_action", -1, "holds an action that does not exist"),
+    ],
+)
+def test_tables_that_point_nowhere_are_refused(uneven, tmp_path, name, value, reason):
+    agent = agent_for(TabularParallelEnv(uneven, max_cycles=100))
+    while not (agent.restarts.values.size and agent.elites.values.size and agent.walks.values.size):
+        agent.improve(simulate(uneven), 100_000)
+    agent.save(tmp_path / "policy.npz")
+    with np.load(tmp_path / "policy.npz") as archive:
+        arrays = dict(archive)
+    arrays[name][0, 0].flat[0] = value
+    np.savez(tmp_path / "policy.npz", **arrays)
+    with pytest.raises(PolicyFileError, match=f"{name}: {reason}"):
+        load(tmp_path / "policy.npz")
 
 
 class Quarrel(ParallelEnv):
@@ -478,6 +518,8 @@ def test_bad_input_is_refused(uneven):
         agent.improve(simulate(bnprl_envs.model("bnprl/DecTiger-v0")), 100)
     with pytest.raises(ValueError, match="nodes: 0, must be at least 1"):
         ControllerSearchConfig(nodes=0)
+    with pytest.raises(ValueError, match=r"judge_seeds: 30000000, must be .* at most 1,000,000"):
+        ControllerSearchConfig(judge_seeds=30_000_000)
     with pytest.raises(ValueError, match="but the search needs one: max_episode_steps"):
         simulator_of(TabularParallelBatch(uneven), 0.9)
     agent.reset({"agent_0": 3, "agent_1": 2})
