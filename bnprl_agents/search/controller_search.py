@@ -15,8 +15,9 @@ from bnprl_agents.policy_files import Arrays
 from bnprl_agents.search.best_response import respond_in_turn
 from bnprl_agents.search.climbing import BATCH, Climber
 from bnprl_agents.search.leaderboard import Leaderboard
+from bnprl_agents.search.looking_around import LOOKS, observations_met
 from bnprl_agents.search.memory import MemoryShape, random_tables, remembering_more, shapes
-from bnprl_agents.search.moves import ACT, BRANCH, REDIRECT, apply_moves, list_moves
+from bnprl_agents.search.moves import ACT, BRANCH, REDIRECT
 from bnprl_agents.search.roles import shared_roles
 from bnprl_agents.search.settings import ControllerSearchConfig
 from bnprl_agents.search.simulator import (
@@ -27,13 +28,11 @@ from bnprl_agents.search.simulator import (
     simulator_of,
 )
 from bnprl_agents.search.tables import DecisionTables
-from bnprl_agents.search.walking import walk
+from bnprl_agents.search.walking import kicked, walk
 from bnprl_agents.training import Budget, Progress
 
 SHARES = {"explore": 1, "walk": 3, "refine": 1, "polish": 1}
 """Parts of the simulated steps that each activity gets."""
-LOOKS = 256
-"""Random teams by which the search looks around before it begins."""
 
 
 class ControllerSearch(ControllerAgent):
@@ -58,6 +57,7 @@ class ControllerSearch(ControllerAgent):
         elites: refined teams, best first.
         restarts: climbed restarts and walks that wait for refinement, best first.
         walks: where the walk within each memory has come, best first.
+        climbed: restarts and walks so far; refinement begins after `candidates` of them.
         spent: simulated steps of each activity.
     """
 
@@ -85,6 +85,7 @@ class ControllerSearch(ControllerAgent):
         self.restarts = Leaderboard.empty(self.roles, *sizes)
         self.walks = Leaderboard.empty(self.roles, *sizes)
         self.elites = Leaderboard.empty(self.roles, *sizes)
+        self.climbed = 0
         self.spent = dict.fromkeys(SHARES, 0)
 
     @property
@@ -150,7 +151,14 @@ class ControllerSearch(ControllerAgent):
         self._check_fit(simulator)
         begin = simulator.steps
         if not self.seen.any():
-            self._look_around(simulator)
+            self.seen = observations_met(
+                simulator,
+                self.roles,
+                self.role_actions,
+                self.seen.shape[1],
+                self.config.nodes,
+                self.rng,
+            )
         activity = self._next_activity()
         act = {
             "explore": self._explore,
@@ -175,58 +183,42 @@ class ControllerSearch(ControllerAgent):
         possible = ["explore"]
         if self.role_actions.size == self.roles.size:  # agents that share tables cannot respond
             possible.append("walk")
-        if self.restarts.values.size:
+        if self.restarts.values.size and self.climbed >= self.config.candidates:
             possible.append("refine")
         if self.elites.values.size:
             possible.append("polish")
         return min(possible, key=lambda name: self.spent[name] / SHARES[name])
 
-    def _look_around(self, simulator: TeamSimulator) -> None:
-        """Note which observations random teams meet after their first action."""
-        n_roles, n_nodes = len(self.role_actions), self.config.nodes
-        for _ in range(LOOKS):
-            action = self.rng.integers(self.role_actions[:, None], size=(n_roles, n_nodes))
-            shape = (n_roles, n_nodes + 1, self.seen.shape[1])
-            successor = self.rng.integers(n_nodes, size=shape)
-            team = DecisionTables(
-                self.roles, action[None].astype(np.int32), successor[None].astype(np.int32)
-            )
-            self.seen |= simulator.visits(team, self._seeds(1))[:, :-1].any(axis=1)
-
     def _explore(self, simulator: TeamSimulator, limit: int) -> None:
         """Climb the actions of a random memory; keep the result if it is among the best."""
-        known = self._shapes()
-        label = int(self.rng.integers(len(known)))
+        label = int(self.rng.integers(len(self._shapes())))
         if self.restarts.labels.size and self.rng.random() < 0.5:
             label = int(self.rng.choice(self.restarts.labels))
-        team = random_tables(
-            known[label], self.roles, self.role_actions, self.seen, self.config.nodes, self.rng
-        )
+        team = self._random_team(label)
         team = self._climbed(simulator, team, (ACT,), self.config.explore_seeds, limit)
-        value = self._judged(simulator, team, self.config.judge_seeds // 8)
-        self.restarts = self.restarts.added(team, value, label, self.config.candidates)
+        self._keep(simulator, team, label)
 
     def _walk(self, simulator: TeamSimulator, limit: int) -> None:
         """Walk on within one memory; keep the best on the way if it is among the best restarts."""
-        known = self._shapes()
         walking = self.walks.labels
-        fresh = np.setdiff1d(np.arange(len(known)), walking)
+        fresh = np.setdiff1d(np.arange(len(self._shapes())), walking)
         if fresh.size:
             label = int(self.rng.choice(fresh))
+            team = self._random_team(label)
         else:  # the best walk, or any of the better half
             half = 1 if self.rng.random() < 0.5 else (walking.size + 1) // 2
-            label = int(walking[self.rng.integers(half)])
-        if fresh.size:
-            team = random_tables(
-                known[label], self.roles, self.role_actions, self.seen, self.config.nodes, self.rng
-            )
-        else:
-            team = self.walks.teams.candidate(int(np.flatnonzero(self.walks.labels == label)[0]))
+            rank = int(self.rng.integers(half))
+            label, team = int(walking[rank]), self.walks.teams.candidate(rank)
         seeds = self._seeds(self.config.explore_seeds)
         here, best = walk(simulator, team, seeds, self.discount, self.rng)
         self.walks = self.walks.moved(here.team, here.value, label)
-        value = self._judged(simulator, best.team, self.config.judge_seeds // 8)
-        self.restarts = self.restarts.added(best.team, value, label, self.config.candidates)
+        self._keep(simulator, best.team, label)
+
+    def _keep(self, simulator: TeamSimulator, team: DecisionTables, label: int) -> None:
+        """Judge a climbed restart; keep it if it is among the best."""
+        value = self._judged(simulator, team, self.config.judge_seeds // 8)
+        self.restarts = self.restarts.added(team, value, label, self.config.candidates)
+        self.climbed += 1
 
     def _refine(self, simulator: TeamSimulator, limit: int) -> None:
         """Climb everything of the best restart, which leaves the restarts."""
@@ -242,19 +234,14 @@ class ControllerSearch(ControllerAgent):
         label = int(self.elites.labels[rank])
         team = self.elites.teams.candidate(rank)
         grows = self.rng.random() < 0.5
-        team = remembering_more(team) if grows else self._kicked(simulator, team)
+        if grows:
+            team = remembering_more(team)
+        else:
+            team = kicked(simulator, team, self.role_actions, self.config.kicks, self.rng)
         team = self._refined(simulator, team, limit)
         value = self._judged(simulator, team, self.config.judge_seeds)
         if value > self.elites.values[rank]:
             self.elites = self.elites.without(rank).added(team, value, label, self.config.elites)
-
-    def _kicked(self, simulator: TeamSimulator, team: DecisionTables) -> DecisionTables:
-        for _ in range(int(self.rng.integers(1, self.config.kicks, endpoint=True))):
-            visits = simulator.visits(team, self._seeds(64))
-            moves, weight = list_moves(team, visits, self.role_actions, (ACT, REDIRECT, BRANCH))
-            share = np.sqrt(weight) / np.sqrt(weight).sum()
-            team = apply_moves(team, moves[[self.rng.choice(len(moves), p=share)]])
-        return team
 
     def _refined(
         self, simulator: TeamSimulator, team: DecisionTables, limit: int
@@ -284,6 +271,13 @@ class ControllerSearch(ControllerAgent):
         """Mean return on the seeds that judge every team."""
         return float(simulator.returns(team, self.judges[: max(1, seeds)]).mean())
 
+    def _random_team(self, label: int) -> DecisionTables:
+        """Random actions on the memory of a label."""
+        shape = self._shapes()[label]
+        return random_tables(
+            shape, self.roles, self.role_actions, self.seen, self.config.nodes, self.rng
+        )
+
     def _shapes(self) -> list[MemoryShape]:
         return shapes(
             int(self.seen.sum(axis=1).max()),
@@ -309,8 +303,8 @@ class ControllerSearch(ControllerAgent):
         return super().state_arrays() | own | boards
 
     def counters(self) -> dict[str, Any]:
-        """The steps spent on each activity."""
-        return {"spent": self.spent}
+        """How many restarts were climbed, and the steps spent on each activity."""
+        return {"climbed": self.climbed, "spent": self.spent}
 
     def restore(self, arrays: Arrays, counters: dict[str, Any]) -> None:
         """Take over a saved state; see `Agent.restore`."""
@@ -319,4 +313,5 @@ class ControllerSearch(ControllerAgent):
         self.restarts = self.restarts.restored("restarts", arrays, self.role_actions)
         self.walks = self.walks.restored("walks", arrays, self.role_actions)
         self.elites = self.elites.restored("elites", arrays, self.role_actions)
+        self.climbed = int(counters["climbed"])
         self.spent = {name: int(counters["spent"][name]) for name in SHARES}

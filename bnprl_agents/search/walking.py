@@ -1,4 +1,4 @@
-"""Iterated responses: one agent is disturbed, then all respond to each other again."""
+"""How a team is disturbed, and walks: after a disturbance all agents respond again."""
 
 from __future__ import annotations
 
@@ -6,7 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bnprl_agents.episodes import IntArray
 from bnprl_agents.search.best_response import respond_in_turn
+from bnprl_agents.search.moves import ACT, BRANCH, REDIRECT, apply_moves, list_moves
 from bnprl_agents.search.simulator import TeamSimulator, UInt64Array
 from bnprl_agents.search.tables import DecisionTables
 
@@ -76,3 +78,27 @@ def disturbed(
     action = team.action.copy()
     action[0, role, nodes] = rng.integers(simulator.action_sizes[agent], size=size)
     return DecisionTables(team.roles, action, team.successor)
+
+
+def kicked(
+    simulator: TeamSimulator,
+    team: DecisionTables,
+    action_sizes: IntArray,
+    most: int,
+    rng: np.random.Generator,
+) -> DecisionTables:
+    """The team after up to `most` random moves, most often at entries that it visits.
+
+    Args:
+        simulator: tells what the team visits.
+        team: one candidate.
+        action_sizes: (M,) actions of each role.
+        most: moves, at least 1.
+        rng: source of the moves and of the episodes' seeds.
+    """
+    for _ in range(int(rng.integers(1, most, endpoint=True))):
+        visits = simulator.visits(team, rng.integers(2**64, size=64, dtype=np.uint64))
+        moves, weight = list_moves(team, visits, action_sizes, (ACT, REDIRECT, BRANCH))
+        share = np.sqrt(weight) / np.sqrt(weight).sum()
+        team = apply_moves(team, moves[[rng.choice(len(moves), p=share)]])
+    return team
