@@ -61,10 +61,9 @@ class GPFittedQConfig(Settings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if isinstance(self.regularization, str):
-            if self.regularization != "auto":
+        if self.regularization != "auto":
+            if not isinstance(self.regularization, (int, float)):
                 raise ValueError(f"regularization: {self.regularization!r}, must be 'auto' or > 0")
-        else:
             check_positive("regularization", self.regularization)
         for name in ("sweeps", "fit_every", "capacity"):
             if getattr(self, name) < 1:

@@ -15,7 +15,8 @@ from bnprl_agents.controllers.infinite import InfiniteRPR
 from bnprl_agents.controllers.online_em import OnlineEM
 from bnprl_agents.controllers.stick_breaking import StickBreaking
 from bnprl_agents.features import Features
-from bnprl_agents.gaussian_process.gp_q import GPQ
+from bnprl_agents.gaussian_process.gp_fitted_q import GPFittedQ, GPFittedQConfig
+from bnprl_agents.gaussian_process.gp_q import GPQ, GPQConfig
 from bnprl_agents.policy_files import PolicyFileError
 from bnprl_agents.q_learning.tabular_q import TabularQ
 from bnprl_agents.random_agent import RandomAgent
@@ -127,6 +128,43 @@ def test_settings_that_ask_for_too_much_memory(agent_class, settings):
 def test_spaces_that_ask_for_too_much_memory(agent_class):
     with pytest.raises(ValueError, match=r"asks for a table"):
         agent_class(gym.spaces.Discrete(10**9), ONE[1], discount=0.9, seed=0)
+
+
+@pytest.mark.parametrize(
+    ("agent_class", "given", "wanted"),
+    [
+        (BatchEM, {"nodes": np.int64(3), "keep": np.bool_(True)}, {"nodes": 3, "keep": True}),
+        (PredictiveActorCritic, {"clip": np.float32(0.5)}, {"clip": 0.5}),
+        (GPQ, {"amplitude": 1, "low": [], "budget": np.int8(7)}, {"amplitude": 1.0, "low": ()}),
+        (GPQ, {"bandwidth": np.array([0.5])}, {"bandwidth": (0.5,)}),
+        (GPFittedQ, {"regularization": np.float32(0.5)}, {"regularization": 0.5}),
+    ],
+)
+def test_settings_become_plain_values_and_come_back_equal(agent_class, given, wanted, tmp_path):
+    agent = agent_class(*ONE, agent_class.Config(**given), discount=0.9, seed=0)
+    for name, value in wanted.items():
+        found = getattr(agent.config, name)
+        assert (type(found), found) == (type(value), value)
+    agent.save(tmp_path / "policy.npz")
+    assert load(tmp_path / "policy.npz").config == agent.config
+
+
+@pytest.mark.parametrize(
+    ("config", "settings"),
+    [
+        (GPQConfig, {"bandwidth": 0.1}),
+        (GPQConfig, {"bandwidth": "0.1"}),
+        (GPQConfig, {"bandwidth": (0.1, True)}),
+        (GPQConfig, {"low": (None,)}),
+        (GPFittedQConfig, {"regularization": None}),
+        (BatchEMConfig, {"keep": "no"}),
+        (BatchEMConfig, {"temperature": np.float64("nan")}),
+    ],
+)
+def test_settings_of_another_kind(config, settings):
+    name = next(iter(settings))
+    with pytest.raises(ValueError, match=rf"^{name}: .*, must be "):
+        config(**settings)
 
 
 def changed(path, change):
