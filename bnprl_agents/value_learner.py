@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import abc
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import gymnasium as gym
 import numpy as np
@@ -13,6 +13,7 @@ from bnprl_agents.copies import check_copies, integers, require_alive
 from bnprl_agents.episodes import BoolArray, FloatArray, IntArray
 from bnprl_agents.features import Features
 from bnprl_agents.policy_files import Arrays
+from bnprl_agents.settings import check_entries
 
 
 class Transitions(NamedTuple):
@@ -50,6 +51,8 @@ class ValueAgent(Agent):
     """
 
     preferred_copies = 1
+    needs_distance: ClassVar[bool] = True
+    """Whether a Discrete observation without a grid is the corner of a simplex, not a number."""
 
     def __init__(
         self,
@@ -69,8 +72,10 @@ class ValueAgent(Agent):
             settings.low,
             settings.high,
             settings.grid_columns,
+            numbered=not self.needs_distance,
         )
         self.n_actions = int(action_space.n)
+        check_entries("action_space", self.n_actions)
         self._first_action = int(action_space.start)
         self.steps = 0
         self._points = np.zeros((0, self.features.dimensions))

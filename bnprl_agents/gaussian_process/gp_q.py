@@ -127,13 +127,7 @@ class GPQ(CompiledValueAgent):
         seed: int,
     ) -> None:
         super().__init__(observation_space, action_space, config, discount=discount, seed=seed)
-        joint = self.config.inputs == "joint"
-        actions = np.arange(self.n_actions)
-        self.inputs = Inputs(
-            np.zeros_like(actions) if joint else actions,
-            actions[:, None].astype(np.float64) if joint else np.zeros((self.n_actions, 0)),
-        )
-        dimensions = self.features.dimensions + self.inputs.code.shape[1]
+        dimensions = self.features.dimensions + self._joint
         self.prior = Prior(
             self.config.prior_mean,
             np.array(broadcast_bandwidth(self.config.bandwidth, dimensions)),
@@ -144,6 +138,11 @@ class GPQ(CompiledValueAgent):
             self.config.forgetting,
         )
         self.basis = self._empty()
+        actions = np.arange(self.n_actions)
+        self.inputs = Inputs(
+            np.zeros_like(actions) if self._joint else actions,
+            actions[:, None].astype(np.float64) if self._joint else np.zeros((self.n_actions, 0)),
+        )
         self._kept: list[Transitions] = []
 
     @property
@@ -199,6 +198,10 @@ class GPQ(CompiledValueAgent):
     @property
     def _optimistic(self) -> bool:
         return self.config.exploration == "optimistic"
+
+    @property
+    def _joint(self) -> bool:
+        return self.config.inputs == "joint"
 
     def _processes(self, optimism: float) -> Processes:
         return Processes(self.basis, self.inputs, self.prior, optimism, self.discount)
@@ -256,5 +259,5 @@ class GPQ(CompiledValueAgent):
             self._kept = [Transitions(*(arrays[f"kept_{name}"] for name in Transitions._fields))]
 
     def _empty(self) -> Basis:
-        processes = int(self.inputs.owner.max()) + 1
+        processes = 1 if self._joint else self.n_actions
         return empty_basis(self.prior.budget + 1, self.prior.bandwidth.size, processes)

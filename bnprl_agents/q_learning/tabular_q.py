@@ -14,7 +14,7 @@ from bnprl_agents.compiled_values import CompiledValueAgent, register
 from bnprl_agents.episodes import FloatArray, IntArray
 from bnprl_agents.policy_files import Arrays
 from bnprl_agents.q_learning.schedule import check_schedules, learning_rate
-from bnprl_agents.settings import Settings
+from bnprl_agents.settings import Settings, check_entries
 from bnprl_agents.value_learner import taken
 
 MOST_CELLS = 10**7
@@ -38,7 +38,8 @@ class TabularQConfig(Settings):
     high: tuple[float, ...] = ()
     """Upper ends."""
     grid_columns: int = 0
-    """Of no use: cells of a grid are cells of the table."""
+    """Columns of the grid whose cells a Discrete observation counts row by row, as pictures show
+    it; the table does not depend on it. 0: none."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -80,6 +81,7 @@ class TabularQ(CompiledValueAgent):
 
     Config = TabularQConfig
     config: TabularQConfig
+    needs_distance = False
 
     def __init__(
         self,
@@ -93,6 +95,7 @@ class TabularQ(CompiledValueAgent):
         super().__init__(observation_space, action_space, config, discount=discount, seed=seed)
         self._scale, self._largest, self._stride = self._division(observation_space)
         n_cells = int(self._largest @ self._stride) + 1
+        check_entries("observation_space, action_space", n_cells, self.n_actions)
         self.table = np.zeros((n_cells, self.n_actions))
 
     @property
@@ -130,13 +133,9 @@ class TabularQ(CompiledValueAgent):
                 np.full(dimensions, bins - 1),
                 bins ** np.arange(dimensions),
             )
-        cells = self.features.points.max(axis=0).astype(np.int64)
-        stride = (
-            np.array([self.config.grid_columns, 1])
-            if self.config.grid_columns
-            else np.arange(dimensions)
-        )
-        return np.ones(dimensions), cells, stride
+        largest = self.features.high.astype(np.int64)
+        stride = np.array([self.features.columns, 1]) if self.features.columns else np.ones(1, int)
+        return np.ones(dimensions), largest, stride
 
     def learned_arrays(self) -> Arrays:
         """The table."""
@@ -152,8 +151,11 @@ def cell(table, x):  # type: ignore[no-untyped-def]
     """Return the cell of a point (D,)."""
     number = 0
     for d in range(x.size):
-        index = min(max(int(np.floor(x[d] * table.scale[d])), 0), table.largest[d])
-        number += index * table.stride[d]
+        place = x[d] * table.scale[d]
+        if place >= table.largest[d]:
+            number += table.largest[d] * table.stride[d]
+        elif place > 0.0:
+            number += int(place) * table.stride[d]
     return number
 
 

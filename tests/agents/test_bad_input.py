@@ -18,6 +18,7 @@ from bnprl_agents.features import Features
 from bnprl_agents.gaussian_process.gp_fitted_q import GPFittedQ, GPFittedQConfig
 from bnprl_agents.gaussian_process.gp_q import GPQ, GPQConfig
 from bnprl_agents.policy_files import PolicyFileError
+from bnprl_agents.q_learning.linear_q import LinearQ, LinearQConfig
 from bnprl_agents.q_learning.tabular_q import TabularQ
 from bnprl_agents.random_agent import RandomAgent
 from bnprl_agents.search.controller_search import ControllerSearch
@@ -116,6 +117,7 @@ def test_points_of_another_shape(value):
         (ActorCritic, {"nodes": 4000}),
         (PredictiveActorCritic, {"states": 10**4}),
         (PredictiveActorCritic, {"memory": 10**4}),
+        (GPQ, {"budget": 10**6}),
     ],
 )
 def test_settings_that_ask_for_too_much_memory(agent_class, settings):
@@ -165,6 +167,25 @@ def test_settings_of_another_kind(config, settings):
     name = next(iter(settings))
     with pytest.raises(ValueError, match=rf"^{name}: .*, must be "):
         config(**settings)
+
+
+@pytest.mark.parametrize("agent_class", [RandomAgent, BatchEM, TabularQ, LinearQ, GPQ, GPFittedQ])
+def test_actions_that_ask_for_too_much_memory(agent_class):
+    with pytest.raises(ValueError, match=r"asks for a table"):
+        agent_class(ONE[0], gym.spaces.Discrete(10**9), discount=0.9, seed=0)
+
+
+def test_a_grid_of_many_cells_takes_no_memory_before_it_is_looked_at():
+    space = gym.spaces.Discrete(3 * 10**7)
+    tracemalloc.start()
+    assert Features(space, grid_columns=5)(7).tolist() == [[1.0, 2.0]]
+    with pytest.raises(ValueError, match=r"^observation_space: .* more than 1,000,000 bases"):
+        LinearQ(space, ONE[1], LinearQConfig(grid_columns=5), discount=0.9, seed=0)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 2**20
+    with pytest.raises(ValueError, match=r"^observation_space: asks for a table"):
+        Features(gym.spaces.Discrete(4 * 10**7), grid_columns=5).points  # noqa: B018
 
 
 def changed(path, change):
