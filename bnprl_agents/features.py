@@ -32,6 +32,8 @@ class Features:
     Attributes:
         dimensions: D.
         low, high: (D,) ends of the range in units of the observation.
+        columns: of the grid; 0: there is none.
+        numbered: whether points are numbers.
         offset, range: (D,) of a Box or of numbers, whose points are (state - offset) / range.
 
     Raises:
@@ -51,6 +53,7 @@ class Features:
         if grid_columns < 0:
             raise ValueError(f"grid_columns: {grid_columns}, must not be negative")
         self.space = space
+        self.columns, self.numbered = 0, False
         if isinstance(space, gym.spaces.Discrete):
             if low or high:
                 raise ValueError("low, high: are of a Box; the observation space is Discrete")

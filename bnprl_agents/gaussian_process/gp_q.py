@@ -24,9 +24,9 @@ from bnprl_agents.gaussian_process.sparse_gp import (
     check_forgetting,
     check_sparsity,
 )
-from bnprl_agents.policy_files import Arrays
+from bnprl_agents.policy_files import Arrays, taken
 from bnprl_agents.settings import Settings
-from bnprl_agents.value_learner import Transitions, check_exponent, taken
+from bnprl_agents.value_learner import Transitions, check_exponent, restored_transitions
 
 OPTIMISM = 2.0
 """Variances by which the optimistic variant overestimates; section 3.4.3."""
@@ -255,8 +255,9 @@ class GPQ(CompiledValueAgent):
         self.prior = self.prior._replace(
             bandwidth=np.array(kernel.bandwidth), amplitude=amplitude, noise=noise
         )
-        if "kept_points" in arrays:
-            self._kept = [Transitions(*(arrays[f"kept_{name}"] for name in Transitions._fields))]
+        if "kept_actions" in arrays:
+            dimensions = self.features.dimensions
+            self._kept = [restored_transitions(arrays, "kept_", dimensions, self.n_actions)]
 
     def _empty(self) -> Basis:
         processes = 1 if self._joint else self.n_actions

@@ -19,10 +19,9 @@ from bnprl_agents.gaussian_process.kernels import (
     check_positive,
     radial,
 )
-from bnprl_agents.policy_files import Arrays
+from bnprl_agents.policy_files import Arrays, taken
 from bnprl_agents.q_learning.schedule import check_schedules, learning_rate
 from bnprl_agents.settings import Settings, check_entries
-from bnprl_agents.value_learner import taken
 
 MOST_BASES = 10**6
 """Largest number of bases."""

@@ -12,10 +12,9 @@ from numba import njit
 from bnprl_agents.agent import Metrics
 from bnprl_agents.compiled_values import CompiledValueAgent, register
 from bnprl_agents.episodes import FloatArray, IntArray
-from bnprl_agents.policy_files import Arrays
+from bnprl_agents.policy_files import Arrays, taken
 from bnprl_agents.q_learning.schedule import check_schedules, learning_rate
 from bnprl_agents.settings import Settings, check_entries
-from bnprl_agents.value_learner import taken
 
 MOST_CELLS = 10**7
 """Largest table."""
@@ -141,9 +140,24 @@ class TabularQ(CompiledValueAgent):
         """The table."""
         return {"table": self.table}
 
+    def restore(self, arrays: Arrays, counters: dict[str, Any]) -> None:
+        """Take over a saved state; see `Agent.restore`."""
+        if self.features.numbered:
+            arrays = _numbered(arrays, len(self.table))
+        super().restore(arrays, counters)
+
     def restore_learned(self, arrays: Arrays) -> None:
         """Take over a saved table."""
         self.table = taken(arrays, "table", self.table.shape)
+
+
+def _numbered(arrays: Arrays, n: int) -> Arrays:
+    """Arrays of a policy file that may be of a time when n values were corners of a simplex."""
+    corners = [
+        name for name, a in arrays.items() if name.endswith("points") and a.shape[1:] == (n,)
+    ]
+    numbers = {name: arrays[name].argmax(axis=1)[:, None] for name in corners if n > 1}
+    return arrays | numbers | {"table": arrays["table"][:n]}  # it had rows to spare
 
 
 @njit(cache=True)
