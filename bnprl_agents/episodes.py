@@ -5,8 +5,9 @@ Glossary: K episodes, T steps of one episode, S steps of all episodes, N agents.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -14,6 +15,18 @@ import numpy.typing as npt
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 IntArray = npt.NDArray[np.int64]
+
+
+def check_range(name: str, indices: IntArray, size: int) -> None:
+    """Check that indices lie between 0 and a size, which they do not reach.
+
+    Raises:
+        ValueError: names the smallest and the largest, and what is allowed.
+    """
+    if indices.size and not 0 <= indices.min() <= indices.max() < size:
+        raise ValueError(
+            f"{name}: found {indices.min()} to {indices.max()}, must lie in 0 to {size - 1}"
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,3 +166,43 @@ class EpisodeBatch:
             final_observations=np.concatenate([batch.final_observations for batch in batches]),
             terminated=np.concatenate([batch.terminated for batch in batches]),
         )
+
+
+def check_episodes(
+    episodes: EpisodeBatch, action_sizes: Sequence[int], observation_sizes: Sequence[int]
+) -> None:
+    """Check that what agents did and saw is in their spaces: compiled code counts on it.
+
+    Args:
+        episodes: of N agents.
+        action_sizes: (N,) actions of each.
+        observation_sizes: (N,) observations of each.
+
+    Raises:
+        ValueError: it is not, or there are other agents.
+    """
+    if episodes.n_agents != len(action_sizes):
+        raise ValueError(f"episodes: of {episodes.n_agents} agents, must be {len(action_sizes)}")
+    for n, (n_actions, n_seen) in enumerate(zip(action_sizes, observation_sizes, strict=True)):
+        check_range("actions", episodes.actions[:, n], n_actions)
+        check_range("observations", episodes.observations[:, n], n_seen)
+        check_range("final_observations", episodes.final_observations[:, n], n_seen)
+
+
+def restored_episodes(
+    arrays: Mapping[str, npt.NDArray[Any]],
+    prefix: str,
+    action_sizes: Sequence[int],
+    observation_sizes: Sequence[int],
+) -> EpisodeBatch | None:
+    """Return the episodes of a policy file whose arrays' names begin with a prefix, None if none.
+
+    Raises:
+        ValueError: as `EpisodeBatch` and `check_episodes`.
+    """
+    if f"{prefix}offsets" not in arrays:
+        return None
+    fields = EpisodeBatch.__dataclass_fields__
+    batch = EpisodeBatch(**{name: arrays[f"{prefix}{name}"] for name in fields})
+    check_episodes(batch, action_sizes, observation_sizes)
+    return batch

@@ -11,8 +11,15 @@ import numpy as np
 from bnprl_agents.agent import Agent, Metrics
 from bnprl_agents.copies import check_copies, require_alive
 from bnprl_agents.discrete import DiscreteSpaces
-from bnprl_agents.episodes import BoolArray, EpisodeBatch, FloatArray, IntArray
-from bnprl_agents.policy_files import Arrays
+from bnprl_agents.episodes import (
+    BoolArray,
+    EpisodeBatch,
+    FloatArray,
+    IntArray,
+    check_episodes,
+    check_range,
+)
+from bnprl_agents.policy_files import Arrays, taken
 from bnprl_agents.recorder import EpisodeRecorder
 from bnprl_agents.training import Budget, Progress, check_batch
 from bnprl_envs.horizon import horizon_of
@@ -97,6 +104,10 @@ class HistoryAgent(Agent):
     def behaviour_probabilities(self) -> list[FloatArray]:
         """Each agent's p(a | h), (n, A), by the policy that explores, of the copies under way."""
         return self.policy_probabilities(self._belief, self._seen)
+
+    def check_episodes(self, episodes: EpisodeBatch) -> None:
+        """Check that episodes are of these agents and in their spaces; see `check_episodes`."""
+        check_episodes(episodes, self.spaces.action_sizes, self.spaces.observation_sizes)
 
     def check_reward(self, smallest: float) -> None:
         """Check that the learner can use rewards down to this one; it can, unless overridden."""
@@ -249,10 +260,27 @@ class HistoryAgent(Agent):
 
     def restore(self, arrays: Arrays, counters: dict[str, Any]) -> None:
         """Take over a saved state; see `Agent.restore`."""
-        team = range(len(self.spaces.action_sizes))
-        self._belief = [arrays[f"belief_{n}"] for n in team if f"belief_{n}" in arrays]
-        self._seen, self._alive = arrays["seen"], arrays["alive"]
-        self._recorder.restore(arrays)
+        sizes = self.spaces.action_sizes, self.spaces.observation_sizes
+        copies = len(arrays["alive"])
+        self._alive = taken(arrays, "alive", (copies,)).astype(np.bool_)
+        self._seen = taken(arrays, "seen", (copies, len(sizes[0]))).astype(np.int64)
+        for n, size in enumerate(sizes[1]):
+            check_range("seen", self._seen[:, n], size)
+        self._recorder.restore(arrays, *sizes)
+        if self._recorder.n_copies != copies:
+            raise ValueError(f"recorder_length: of {self._recorder.n_copies} copies, not {copies}")
+        self._belief = [
+            _restored_belief(arrays, f"belief_{n}", first)
+            for n, first in enumerate(self.begin(self._seen) if copies else [])
+        ]
+
+
+def _restored_belief(arrays: Arrays, name: str, like: FloatArray) -> FloatArray:
+    """Beliefs (n, Z) of a policy file; (ValueError) of other shape or mass than others."""
+    belief = taken(arrays, name, like.shape)
+    if (belief < 0.0).any() or not np.allclose(belief.sum(axis=1), like.sum(axis=1)):
+        raise ValueError(f"{name}: a row is no distribution")
+    return belief
 
 
 def _sample(probabilities: FloatArray, rng: np.random.Generator) -> IntArray:

@@ -27,14 +27,17 @@ Arrays = dict[str, npt.NDArray[Any]]
 FILE_LIMIT = 2**31
 """Largest size in bytes of an unpacked policy file."""
 
+INFINITE = {"Infinity": "inf", "-Infinity": "-inf"}
+"""How the infinite ends of a Box are written, which are no JSON: first, and now as texts."""
+
 _DAMAGE = (
     ValueError,
     LookupError,
+    ArithmeticError,
     TypeError,
     AttributeError,
     EOFError,
     MemoryError,
-    OverflowError,
     RuntimeError,
     tokenize.TokenError,
     zipfile.BadZipFile,
@@ -51,9 +54,10 @@ def write_policy(path: str | os.PathLike[str], meta: dict[str, Any], arrays: Arr
     """Write a policy file, which appears by atomic rename.
 
     Raises:
+        ValueError: the description holds a number that is not finite.
         OSError: the file cannot be written.
     """
-    text = np.frombuffer(json.dumps(meta).encode(), dtype=np.uint8)
+    text = np.frombuffer(json.dumps(meta, allow_nan=False).encode(), dtype=np.uint8)
     target = Path(path)
     if not target.parent.is_dir():
         raise FileNotFoundError(errno.ENOENT, f"there is no folder {target.parent}", str(target))
@@ -78,7 +82,9 @@ def read_policy(path: str | os.PathLike[str]) -> tuple[dict[str, Any], Arrays]:
         arrays = _read_archive(data)
         if "meta" not in arrays:
             raise ValueError("it has no description, the array 'meta'")
-        meta = json.loads(arrays.pop("meta").tobytes())
+        meta = json.loads(
+            arrays.pop("meta").tobytes(), parse_constant=INFINITE.__getitem__, parse_float=_finite
+        )
         if not isinstance(meta, dict):
             raise ValueError("its description is not a JSON object")
     return meta, arrays
@@ -92,7 +98,8 @@ def refusing_damage(path: str | os.PathLike[str]) -> Iterator[None]:
         PolicyFileError: names the file and the reason.
     """
     try:
-        yield
+        with np.errstate(invalid="raise"):  # what fits no integer
+            yield
     except PolicyFileError:
         raise
     except _DAMAGE as error:
@@ -111,7 +118,7 @@ def describe_space(space: Any) -> Any:
     if isinstance(space, gym.spaces.Discrete):
         return {"type": "Discrete", "n": int(space.n), "start": int(space.start)}
     if isinstance(space, gym.spaces.Box):
-        low, high = space.low.tolist(), space.high.tolist()
+        low, high = _ends(space.low), _ends(space.high)
         return {"type": "Box", "low": low, "high": high, "dtype": str(space.dtype)}
     raise ValueError(f"space {space} cannot be saved: Discrete and Box can")
 
@@ -131,6 +138,54 @@ def build_space(text: Any) -> Any:
         low, high = np.array(text["low"], dtype=dtype), np.array(text["high"], dtype=dtype)
         return gym.spaces.Box(low, high, dtype=dtype.type)
     raise ValueError(f"unknown space {text['type']!r}")
+
+
+def taken(arrays: Arrays, name: str, shape: tuple[int, ...]) -> npt.NDArray[np.float64]:
+    """Return a finite float array of a policy file.
+
+    Raises:
+        ValueError: it has another shape, or holds something that is not finite.
+    """
+    array = np.array(arrays[name], dtype=np.float64)
+    if array.shape != shape or not np.isfinite(array).all():
+        raise ValueError(f"{name}: shape {array.shape}, must be {shape} and finite")
+    return array
+
+
+def number(name: str, value: Any, least: float = -math.inf) -> float:
+    """Return a number of a policy file's description.
+
+    Raises:
+        ValueError: it is none, or below the least that is allowed.
+    """
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not value >= least:
+        raise ValueError(f"{name}: {value!r}, must be a number, at least {least}")
+    return float(value)
+
+
+def count(name: str, value: Any) -> int:
+    """Return how often something happened, by a policy file's description.
+
+    Raises:
+        ValueError: it is no whole number, or negative.
+    """
+    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < 2**53:
+        raise ValueError(f"{name}: {value!r}, must be a whole number, not negative")
+    return value
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    if math.isinf(value):
+        raise ValueError(f"{text} is not finite")
+    return value
+
+
+def _ends(values: npt.NDArray[Any]) -> Any:
+    """A Box's ends as nested lists of numbers, of which infinite ones are texts."""
+    if values.ndim:
+        return [_ends(part) for part in values]
+    return values.item() if np.isfinite(values) else str(float(values))
 
 
 def _read_archive(data: bytes) -> Arrays:

@@ -2,10 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import numpy.typing as npt
 
-from bnprl_agents.episodes import BoolArray, EpisodeBatch, FloatArray, IntArray
+from bnprl_agents.episodes import (
+    BoolArray,
+    EpisodeBatch,
+    FloatArray,
+    IntArray,
+    check_episodes,
+    restored_episodes,
+)
+from bnprl_agents.policy_files import Arrays, taken
 
 FIELDS = ("observations", "actions", "rewards", "behaviour")
 
@@ -22,6 +32,11 @@ class EpisodeRecorder:
         self.finished: list[EpisodeBatch] = []
         self._length = np.zeros(0, dtype=np.int64)
         self._rows: dict[str, npt.NDArray[np.float64]] = {}
+
+    @property
+    def n_copies(self) -> int:
+        """Copies of the environment that are recorded; 0 before the first begin."""
+        return self._length.size
 
     @property
     def n_finished(self) -> int:
@@ -75,20 +90,34 @@ class EpisodeRecorder:
             }
         return arrays
 
-    def restore(self, arrays: dict[str, npt.NDArray[np.float64]]) -> None:
-        """Take over what `state_arrays` gave."""
-        self._length = arrays["recorder_length"].astype(np.int64)
+    def restore(
+        self,
+        arrays: Arrays,
+        action_sizes: Sequence[int],
+        observation_sizes: Sequence[int],
+    ) -> None:
+        """Take over what `state_arrays` gave, of agents with these numbers of values.
+
+        Raises:
+            ValueError: shapes disagree, or an episode does not fit the agents.
+        """
+        finished = restored_episodes(arrays, "finished_", action_sizes, observation_sizes)
+        self.finished = [] if finished is None else [finished]
+        copies = len(arrays["recorder_length"])
+        self._length = taken(arrays, "recorder_length", (copies,)).astype(np.int64)
+        self._rows = {}
+        if not copies:
+            return
+        room = arrays["recorder_rewards"].shape[-1]
+        if not 0 <= self._length.min() <= self._length.max() <= room or not room:
+            raise ValueError(f"recorder_length: {self._length.tolist()}, there is room for {room}")
         self._rows = {
-            name: arrays[f"recorder_{name}"].copy()
+            name: taken(arrays, f"recorder_{name}", self._empty(name, room, copies).shape)
             for name in FIELDS
-            if f"recorder_{name}" in arrays
         }
-        fields = {
-            name.removeprefix("finished_"): value
-            for name, value in arrays.items()
-            if name.startswith("finished_")
-        }
-        self.finished = [EpisodeBatch(**fields)] if fields else []  # type: ignore[arg-type]
+        nowhere = np.zeros(self.n_agents, dtype=np.int64)
+        for copy in np.flatnonzero(self._length).tolist():
+            check_episodes(self._episode(copy, nowhere, False), action_sizes, observation_sizes)
 
     def _empty(self, name: str, capacity: int, copies: int) -> npt.NDArray[np.float64]:
         shape = (copies, capacity) if name == "rewards" else (copies, capacity, self.n_agents)

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import abc
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import gymnasium as gym
 import numpy as np
 
 from bnprl_agents.agent import Agent, Metrics
 from bnprl_agents.copies import check_copies, integers, require_alive
-from bnprl_agents.episodes import BoolArray, FloatArray, IntArray
+from bnprl_agents.episodes import BoolArray, FloatArray, IntArray, check_range
 from bnprl_agents.features import Features
-from bnprl_agents.policy_files import Arrays
+from bnprl_agents.policy_files import Arrays, count, taken
+from bnprl_agents.settings import check_entries
 
 
 class Transitions(NamedTuple):
@@ -50,6 +51,8 @@ class ValueAgent(Agent):
     """
 
     preferred_copies = 1
+    needs_distance: ClassVar[bool] = True
+    """Whether a Discrete observation without a grid is the corner of a simplex, not a number."""
 
     def __init__(
         self,
@@ -69,8 +72,10 @@ class ValueAgent(Agent):
             settings.low,
             settings.high,
             settings.grid_columns,
+            numbered=not self.needs_distance,
         )
         self.n_actions = int(action_space.n)
+        check_entries("action_space", self.n_actions)
         self._first_action = int(action_space.start)
         self.steps = 0
         self._points = np.zeros((0, self.features.dimensions))
@@ -198,12 +203,13 @@ class ValueAgent(Agent):
 
     def restore(self, arrays: Arrays, counters: dict[str, Any]) -> None:
         """Take over a saved state; see `Agent.restore`."""
-        self.steps = int(counters["steps"])
-        self._points, self._alive = arrays["points"], arrays["alive"]
-        if self._points.shape != (len(self._alive), self.features.dimensions):
-            raise ValueError(f"points have shape {self._points.shape}")
-        if "pending_points" in arrays:
-            self._pending = [Transitions(*(arrays[f"pending_{n}"] for n in Transitions._fields))]
+        self.steps = count("steps", counters["steps"])
+        copies, dimensions = len(arrays["alive"]), self.features.dimensions
+        self._points = taken(arrays, "points", (copies, dimensions))
+        self._alive = taken(arrays, "alive", (copies,)).astype(np.bool_)
+        if "pending_actions" in arrays:
+            pending = restored_transitions(arrays, "pending_", dimensions, self.n_actions)
+            self._pending = [pending]
         self.restore_learned(arrays)
 
     def _indices(self, action: Any) -> IntArray:
@@ -217,16 +223,33 @@ class ValueAgent(Agent):
         return actions if self.features.batched(observation) else int(actions[0])
 
 
-def taken(arrays: Arrays, name: str, shape: tuple[int, ...]) -> FloatArray:
-    """Return a finite float array of a policy file.
+def restored_transitions(
+    arrays: Arrays, prefix: str, dimensions: int, n_actions: int
+) -> Transitions:
+    """Return transitions of a policy file, whose arrays' names begin with a prefix.
 
     Raises:
-        ValueError: it has another shape, or holds something that is not finite.
+        ValueError: their shapes disagree, or an action does not exist.
     """
-    array = np.array(arrays[name], dtype=np.float64)
-    if array.shape != shape or not np.isfinite(array).all():
-        raise ValueError(f"{name}: shape {array.shape}, must be {shape} and finite")
-    return array
+    n = len(arrays[f"{prefix}actions"])
+    return Transitions(
+        taken(arrays, f"{prefix}points", (n, dimensions)),
+        restored_actions(arrays, f"{prefix}actions", n_actions),
+        taken(arrays, f"{prefix}rewards", (n,)),
+        taken(arrays, f"{prefix}next_points", (n, dimensions)),
+        taken(arrays, f"{prefix}terminated", (n,)).astype(np.bool_),
+    )
+
+
+def restored_actions(arrays: Arrays, name: str, n_actions: int) -> IntArray:
+    """Return action indices (n,) of a policy file.
+
+    Raises:
+        ValueError: there is no such action.
+    """
+    actions: IntArray = taken(arrays, name, (len(arrays[name]),)).astype(np.int64)
+    check_range(name, actions, n_actions)
+    return actions
 
 
 def check_exponent(name: str, value: float) -> None:

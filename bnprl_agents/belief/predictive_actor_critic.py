@@ -18,8 +18,8 @@ from bnprl_agents.belief.gradient import (
 )
 from bnprl_agents.belief.learner import BeliefAgent
 from bnprl_agents.belief.policy import random_logits
-from bnprl_agents.episodes import EpisodeBatch
-from bnprl_agents.policy_files import Arrays
+from bnprl_agents.episodes import EpisodeBatch, restored_episodes
+from bnprl_agents.policy_files import Arrays, count, number
 from bnprl_agents.proximal.actor import Actor
 from bnprl_agents.proximal.advantages import judged, standardised
 from bnprl_agents.proximal.config import (
@@ -121,6 +121,7 @@ class PredictiveActorCritic(BeliefAgent):
 
     def learn(self, episodes: EpisodeBatch) -> Metrics:
         """Fit the critic, then climb likelihood and clipped objective."""
+        self.check_episodes(episodes)
         before, self.steps = self.steps, self.steps + episodes.n_steps
         self.square_rewards += float((episodes.rewards**2).sum())
         self.mean_length = episodes.n_steps / episodes.n_episodes
@@ -223,16 +224,19 @@ class PredictiveActorCritic(BeliefAgent):
     def restore(self, arrays: Arrays, counters: dict[str, Any]) -> None:
         """Take over a saved state; see `Agent.restore`."""
         super().restore(arrays, counters)
-        self.actor = self.actor.restored(arrays, int(counters["updates"]), float(counters["scale"]))
+        self.actor = self.actor.restored(arrays, counters["updates"], counters["scale"])
         self.policy = self.actor.logits.policy()
-        self.steps = int(counters["steps"])
-        self.square_rewards = float(counters["square_rewards"])
-        self.mean_length = float(counters["mean_length"])
-        ends = np.cumsum(arrays["replay_sizes"].astype(np.int64))
-        fields = EpisodeBatch.__dataclass_fields__
-        joined = EpisodeBatch(*(arrays[f"replay_{f}"] for f in fields)) if ends.size else None
-        self.replay = (
-            [] if joined is None else [
-                joined.between(int(a), int(b)) for a, b in zip([0, *ends[:-1]], ends, strict=True)
-            ]
-        )  # fmt: skip
+        self.steps = count("steps", counters["steps"])
+        self.square_rewards = number("square_rewards", counters["square_rewards"], least=0.0)
+        self.mean_length = number("mean_length", counters["mean_length"], least=1.0)
+        self.replay = self._restored_replay(arrays)
+
+    def _restored_replay(self, arrays: Arrays) -> list[EpisodeBatch]:
+        sizes = self.spaces.action_sizes, self.spaces.observation_sizes
+        joined = restored_episodes(arrays, "replay_", *sizes)
+        ends = np.cumsum(arrays["replay_sizes"].astype(np.int64)).tolist()
+        begins = [0, *ends[:-1]] if ends else []
+        held = 0 if joined is None else joined.n_episodes
+        if (arrays["replay_sizes"] < 1).any() or held != sum(ends[-1:]):
+            raise ValueError(f"replay_sizes: must be positive and sum to {held}")
+        return [joined.between(a, b) for a, b in zip(begins, ends, strict=True) if joined]

@@ -18,7 +18,7 @@ from bnprl_agents.controllers.gradient import (
 )
 from bnprl_agents.controllers.learner import ControllerAgent
 from bnprl_agents.episodes import EpisodeBatch, FloatArray
-from bnprl_agents.policy_files import Arrays
+from bnprl_agents.policy_files import Arrays, count, number
 from bnprl_agents.proximal.actor import Actor
 from bnprl_agents.proximal.adam import like
 from bnprl_agents.proximal.advantages import judged, standardised
@@ -129,6 +129,7 @@ class ActorCritic(ControllerAgent):
 
     def learn(self, episodes: EpisodeBatch) -> Metrics:
         """Fit the critics and climb the clipped objective on one batch of episodes."""
+        self.check_episodes(episodes)
         self.steps += episodes.n_steps
         self.mean_length = episodes.n_steps / episodes.n_episodes
         metrics = {"return_mean": float(episodes.returns(self.discount).mean())}
@@ -217,11 +218,12 @@ class ActorCritic(ControllerAgent):
     def restore(self, arrays: Arrays, counters: dict[str, Any]) -> None:
         """Take over a saved state; see `Agent.restore`."""
         super().restore(arrays, counters)
+        self.check_nodes(self.config.nodes)
         self.actors = [
-            actor.restored(arrays, int(updates), float(scale), f"_{n}")
+            actor.restored(arrays, updates, scale, f"_{n}")
             for n, (actor, updates, scale) in enumerate(
                 zip(self.actors, counters["updates"], counters["scales"], strict=True)
             )
         ]
-        self.steps = int(counters["steps"])
-        self.mean_length = float(counters["mean_length"])
+        self.steps = count("steps", counters["steps"])
+        self.mean_length = number("mean_length", counters["mean_length"], least=1.0)

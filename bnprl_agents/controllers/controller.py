@@ -6,12 +6,14 @@ one is the null observation that `reset` returns), n copies of an environment.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from bnprl_agents.episodes import FloatArray, IntArray
+from bnprl_agents.policy_files import Arrays, taken
 from bnprl_agents.settings import check_entries
 
 
@@ -87,6 +89,45 @@ class Controller:
         """
         weighted = belief * self.action[:, action].T
         return normalised(np.einsum("ni,nij->nj", weighted, self.successor[action, observation]))
+
+
+def restored_team(
+    arrays: Arrays, names: str, action_sizes: Sequence[int], observation_sizes: Sequence[int]
+) -> tuple[tuple[Controller, ...], tuple[FloatArray, ...]]:
+    """Each agent's controller and exploration (Z,) from a policy file.
+
+    Args:
+        arrays: of the file.
+        names: of its arrays, in which {} stands for initial, action, successor or explore; the
+            agent's number follows.
+        action_sizes: (N,) actions of each agent.
+        observation_sizes: (N,) observations of each agent.
+
+    Raises:
+        ValueError: they do not fit each other or the sizes, or a probability is none.
+    """
+    controllers, explore = [], []
+    for n, sizes in enumerate(zip(action_sizes, observation_sizes, strict=True)):
+        tables = (arrays[names.format(k) + str(n)] for k in ("initial", "action", "successor"))
+        controller = Controller(*tables)
+        if (controller.n_actions, controller.n_observations) != sizes:
+            raise ValueError(f"{names.format('action')}{n}: does not fit the spaces")
+        controllers.append(controller)
+        name = f"{names.format('explore')}{n}"
+        explore.append(restored_exploration(arrays, name, controller.n_nodes))
+    return tuple(controllers), tuple(explore)
+
+
+def restored_exploration(arrays: Arrays, name: str, n_nodes: int) -> FloatArray:
+    """How probably each node (Z,) explores, from a policy file.
+
+    Raises:
+        ValueError: they are not as many, or a probability is none.
+    """
+    explore = taken(arrays, name, (n_nodes,))
+    if ((explore < 0.0) | (explore > 1.0)).any():
+        raise ValueError(f"{name}: {explore.tolist()}, must lie in [0, 1]")
+    return explore
 
 
 def normalised(rows: FloatArray) -> FloatArray:

@@ -10,7 +10,7 @@ from bnprl_agents.agent import Metrics
 from bnprl_agents.controllers.controller import Controller
 from bnprl_agents.controllers.messages import Messages, forward
 from bnprl_agents.controllers.nested_em import NestedEM, NestedEMConfig
-from bnprl_agents.episodes import EpisodeBatch
+from bnprl_agents.episodes import EpisodeBatch, restored_episodes
 from bnprl_agents.policy_files import Arrays
 
 
@@ -66,9 +66,8 @@ class BatchEM(NestedEM):
     def restore(self, arrays: Arrays, counters: dict[str, Any]) -> None:
         """Take over a saved state; see `Agent.restore`."""
         super().restore(arrays, counters)
-        names = [name for name in arrays if name.startswith("kept_")]
-        if names:
-            self.kept = EpisodeBatch(**{n.removeprefix("kept_"): arrays[n] for n in names})
+        sizes = self.spaces.action_sizes, self.spaces.observation_sizes
+        self.kept = restored_episodes(arrays, "kept_", *sizes)
 
 
 def part_way(old: Controller, new: Controller, share: float) -> Controller:

@@ -8,10 +8,10 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from bnprl_agents.controllers.controller import Controller
-from bnprl_agents.controllers.messages import Counts, running_sum
-from bnprl_agents.episodes import EpisodeBatch, FloatArray
-from bnprl_agents.policy_files import Arrays
+from bnprl_agents.controllers.controller import Controller, restored_team
+from bnprl_agents.controllers.messages import running_sum
+from bnprl_agents.episodes import EpisodeBatch, FloatArray, restored_episodes
+from bnprl_agents.policy_files import Arrays, taken
 
 TOLERANCE = 1e-2
 """Of log-probabilities: rollouts filter in single precision."""
@@ -95,22 +95,26 @@ class EpisodePool:
         return arrays
 
     @classmethod
-    def restored(cls, arrays: Arrays, n_agents: int) -> EpisodePool:
-        """Build a saved pool again."""
+    def restored(
+        cls, arrays: Arrays, action_sizes: Sequence[int], observation_sizes: Sequence[int]
+    ) -> EpisodePool:
+        """Build a saved pool again, of agents with these numbers of values.
+
+        Raises:
+            ValueError: the arrays do not fit each other or the agents.
+        """
         pool = cls()
-        if "pool_sizes" not in arrays:
+        pool.episodes = restored_episodes(arrays, "pool_", action_sizes, observation_sizes)
+        if pool.episodes is None:
             return pool
-        fields = EpisodeBatch.__dataclass_fields__
-        pool.episodes = EpisodeBatch(**{name: arrays[f"pool_{name}"] for name in fields})
-        pool._log_mixture, pool._mixed = arrays["pool_log_mixture"], arrays["pool_mixed"]
-        team = range(n_agents)
+        shape = (pool.episodes.n_steps,)
+        pool._log_mixture = taken(arrays, "pool_log_mixture", shape)
+        pool._mixed = taken(arrays, "pool_mixed", shape).astype(np.bool_)
         for m, size in enumerate(arrays["pool_sizes"].tolist()):
-            controllers = tuple(
-                Controller(*(arrays[f"pool_{name}_{m}_{n}"] for name in Counts._fields))
-                for n in team
-            )
-            explore = tuple(arrays[f"pool_explore_{m}_{n}"] for n in team)
-            pool.behaviours.append(Behaviour(controllers, explore, size))
+            if size < 1:
+                raise ValueError(f"pool_sizes: {size}, must be at least 1")
+            team = restored_team(arrays, f"pool_{{}}_{m}_", action_sizes, observation_sizes)
+            pool.behaviours.append(Behaviour(*team, size))
         return pool
 
 

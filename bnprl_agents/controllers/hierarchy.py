@@ -18,7 +18,7 @@ from bnprl_agents.controllers.hdp import (
 from bnprl_agents.controllers.messages import Counts
 from bnprl_agents.controllers.priors import Posterior
 from bnprl_agents.episodes import BoolArray, FloatArray, IntArray
-from bnprl_agents.policy_files import Arrays
+from bnprl_agents.policy_files import Arrays, taken
 
 ROW_PRIOR: GammaPrior = (10.0, 10.0)
 """Of alpha, section 5.5, read as shape and rate."""
@@ -76,6 +76,21 @@ class Hierarchy:
         if self.special is not None:
             held[self.special] = True
         return np.flatnonzero(held)
+
+
+def restored_hierarchy(arrays: Arrays, agent: int, room: int) -> Hierarchy:
+    """Return the hierarchy of an agent in a policy file, with room for Z nodes.
+
+    Raises:
+        ValueError: an array has another shape, or a weight or a concentration is out of range.
+    """
+    occupied, weights = (
+        taken(arrays, f"hierarchy_{name}_{agent}", (room,)) for name in ("occupied", "weights")
+    )
+    alpha, top = (float(taken(arrays, f"hierarchy_{k}_{agent}", ())) for k in ("alpha", "top"))
+    if not (min(alpha, top) > 0.0 and (weights >= 0.0).all()):
+        raise ValueError(f"hierarchy_weights_{agent}: weights and concentrations must be positive")
+    return Hierarchy(occupied.astype(np.bool_), weights, alpha, top)
 
 
 def first_hierarchy(room: int, nodes: int) -> Hierarchy:

@@ -11,18 +11,18 @@ from bnprl_agents.agent import Metrics
 from bnprl_agents.controllers.episode_pool import Behaviour, EpisodePool
 from bnprl_agents.controllers.hierarchy import (
     HierarchicalPrior,
-    Hierarchy,
     embedded,
     first_hierarchy,
     only,
     resampled,
+    restored_hierarchy,
     restricted,
     shared_out,
 )
 from bnprl_agents.controllers.infinite_settings import InfiniteRPRConfig
 from bnprl_agents.controllers.messages import Counts, Messages, backward, forward
 from bnprl_agents.controllers.paths import path_counts, reward_steps, sample_paths
-from bnprl_agents.controllers.priors import Posterior, Prior, blend, scaled
+from bnprl_agents.controllers.priors import Posterior, Prior, blend, restored_counts, scaled
 from bnprl_agents.controllers.schedules import blended_value
 from bnprl_agents.controllers.variational import BayesianEM
 from bnprl_agents.episodes import EpisodeBatch, FloatArray
@@ -247,15 +247,10 @@ class InfiniteRPR(BayesianEM):
     def restore(self, arrays: Arrays, counters: dict[str, Any]) -> None:
         """Take over a saved state; see `Agent.restore`."""
         for n, prior in enumerate(self.priors):
-            prior.hierarchy = Hierarchy(
-                arrays[f"hierarchy_occupied_{n}"],
-                arrays[f"hierarchy_weights_{n}"],
-                float(arrays[f"hierarchy_alpha_{n}"]),
-                float(arrays[f"hierarchy_top_{n}"]),
-            )
+            prior.hierarchy = restored_hierarchy(arrays, n, self.config.nodes)
         super().restore(arrays, counters)
         self.sampled = tuple(
-            Counts(*(arrays[f"sampled_{name}_{n}"] for name in Counts._fields))
-            for n in range(len(self.controllers))
+            restored_counts(arrays, f"sampled_{{}}_{n}", c) for n, c in enumerate(self.controllers)
         )
-        self.pool = EpisodePool.restored(arrays, len(self.controllers))
+        sizes = self.spaces.action_sizes, self.spaces.observation_sizes
+        self.pool = EpisodePool.restored(arrays, *sizes)

@@ -7,9 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from bnprl_agents.controllers.controller import Controller, random_controller
+from bnprl_agents.controllers.controller import (
+    Controller,
+    random_controller,
+    restored_team,
+)
 from bnprl_agents.controllers.exploration import exploring_probability, team_exploring
-from bnprl_agents.controllers.messages import Counts, Messages
+from bnprl_agents.controllers.messages import Messages
 from bnprl_agents.controllers.rollout import check_fit, rollout
 from bnprl_agents.episodes import EpisodeBatch, FloatArray, IntArray
 from bnprl_agents.history_agent import HistoryAgent
@@ -174,19 +178,19 @@ class ControllerAgent(HistoryAgent):
 
     def restore(self, arrays: Arrays, counters: dict[str, Any]) -> None:
         """Take over a saved state; see `Agent.restore`."""
-        super().restore(arrays, counters)
-        team = range(len(self.controllers))
-        self.controllers = tuple(
-            Controller(*(arrays[f"{name}_{n}"] for name in Counts._fields)) for n in team
-        )
+        sizes = self.spaces.action_sizes, self.spaces.observation_sizes
+        self.controllers, self.explore = restored_team(arrays, "{}_", *sizes)
         for n, controller in enumerate(self.controllers):
-            wanted = (self.spaces.action_sizes[n], self.spaces.observation_sizes[n])
-            if (controller.n_actions, controller.n_observations) != wanted:
-                raise ValueError(f"controller {n} does not fit the spaces")
-            for name in ("initial", "action", "successor"):
-                if np.abs(getattr(controller, name).sum(axis=-1) - 1.0).max() > 1e-6:
+            for name, table in vars(controller).items():
+                if np.abs(table.sum(axis=-1) - 1.0).max() > 1e-6:
                     raise ValueError(f"a row of {name}_{n} does not sum to 1")
-        self.explore = tuple(arrays[f"explore_{n}"] for n in team)
+        super().restore(arrays, counters)
+
+    def check_nodes(self, nodes: int) -> None:
+        """Check the size of controllers from a policy file (ValueError)."""
+        for n, controller in enumerate(self.controllers):
+            if controller.n_nodes != nodes:
+                raise ValueError(f"action_{n}: {controller.n_nodes} nodes, must be {nodes}")
 
 
 def shifted(episodes: EpisodeBatch, shift: float, discount: float) -> EpisodeBatch:

@@ -13,7 +13,7 @@ from bnprl_agents.controllers.messages import forward
 from bnprl_agents.controllers.paths import path_counts, sample_paths
 from bnprl_agents.controllers.priors import maximise
 from bnprl_agents.episodes import EpisodeBatch, FloatArray, IntArray
-from bnprl_agents.policy_files import Arrays
+from bnprl_agents.policy_files import Arrays, taken
 from bnprl_agents.settings import Settings
 
 
@@ -115,7 +115,11 @@ class MonteCarloEM(ControllerAgent):
     def restore(self, arrays: Arrays, counters: dict[str, Any]) -> None:
         """Take over a saved state; see `Agent.restore`."""
         super().restore(arrays, counters)
-        self.visits = tuple(arrays[f"visits_{n}"] for n in range(len(self.controllers)))
+        self.check_nodes(self.config.nodes)
+        shape = (self.config.nodes,)
+        self.visits = tuple(
+            taken(arrays, f"visits_{n}", shape) for n in range(len(self.controllers))
+        )
 
 
 def rewards_from(episodes: EpisodeBatch, discount: float) -> FloatArray:

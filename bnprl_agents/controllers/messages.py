@@ -18,7 +18,7 @@ import numpy as np
 from numba import njit
 
 from bnprl_agents.controllers.controller import Controller
-from bnprl_agents.episodes import EpisodeBatch, FloatArray, IntArray
+from bnprl_agents.episodes import EpisodeBatch, FloatArray, check_range
 
 
 class Counts(NamedTuple):
@@ -96,8 +96,8 @@ def forward(episodes: EpisodeBatch, agent: int, controller: Controller) -> Messa
     Raises:
         ValueError: an action or observation lies outside the controller's tables.
     """
-    _check_range("actions", episodes.actions[:, agent], controller.n_actions)
-    _check_range("observations", episodes.observations[:, agent], controller.n_observations)
+    check_range("actions", episodes.actions[:, agent], controller.n_actions)
+    check_range("observations", episodes.observations[:, agent], controller.n_observations)
     alpha, likelihood = _forward(
         episodes.offsets,
         episodes.observations[:, agent],
@@ -184,13 +184,6 @@ def backward(
         nu,
     )
     return Counts(initial, np.ascontiguousarray(action.T), controller.successor * pairs)
-
-
-def _check_range(name: str, values: IntArray, size: int) -> None:
-    if values.size and not 0 <= values.min() <= values.max() < size:
-        raise ValueError(
-            f"{name}: found {values.min()} to {values.max()}, the controller has 0 to {size - 1}"
-        )
 
 
 @njit(cache=True, fastmath={"reassoc", "contract"}, error_model="numpy")

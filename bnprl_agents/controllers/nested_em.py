@@ -21,10 +21,15 @@ from bnprl_agents.controllers.priors import (
     restored_evidence,
     scaled,
 )
-from bnprl_agents.controllers.schedules import blended_value, exponential
+from bnprl_agents.controllers.schedules import (
+    blended_value,
+    exponential,
+    restored_log,
+    saved_log,
+)
 from bnprl_agents.controllers.weighting import Evidence, by_return, by_reward
 from bnprl_agents.episodes import EpisodeBatch, FloatArray
-from bnprl_agents.policy_files import Arrays
+from bnprl_agents.policy_files import Arrays, count
 from bnprl_agents.settings import Settings
 
 MStep = Callable[[int, Counts, Posterior], Posterior]
@@ -291,7 +296,7 @@ class NestedEM(ControllerAgent):
     def counters(self) -> dict[str, Any]:
         """The running value, and the numbers of updates and episodes."""
         return {
-            "log_value": None if self.log_value == -np.inf else self.log_value,
+            "log_value": saved_log(self.log_value),
             "updates": self.updates,
             "episodes": self.episodes,
         }
@@ -299,8 +304,9 @@ class NestedEM(ControllerAgent):
     def restore(self, arrays: Arrays, counters: dict[str, Any]) -> None:
         """Take over a saved state; see `Agent.restore`."""
         super().restore(arrays, counters)
+        self.check_nodes(self.config.nodes)
         posteriors, self.statistics = restored_evidence(arrays, self.priors, self.controllers)
         self.adopt(posteriors)
-        log_value = counters["log_value"]
-        self.log_value = -np.inf if log_value is None else float(log_value)
-        self.updates, self.episodes = int(counters["updates"]), int(counters["episodes"])
+        self.log_value = restored_log(counters["log_value"])
+        self.updates = count("updates", counters["updates"])
+        self.episodes = count("episodes", counters["episodes"])

@@ -11,7 +11,7 @@ from bnprl_agents.controllers.exploration import exploration_suffices
 from bnprl_agents.controllers.nested_em import NestedEM, NestedEMConfig
 from bnprl_agents.controllers.schedules import check_schedule, robbins_monro
 from bnprl_agents.episodes import EpisodeBatch, FloatArray
-from bnprl_agents.policy_files import Arrays
+from bnprl_agents.policy_files import Arrays, number
 
 
 @dataclass(frozen=True)
@@ -102,5 +102,5 @@ class OnlineEM(NestedEM):
     def restore(self, arrays: Arrays, counters: dict[str, Any]) -> None:
         """Take over a saved state; see `Agent.restore`."""
         super().restore(arrays, counters)
-        self.largest_reward = float(counters["largest_reward"])
+        self.largest_reward = number("largest_reward", counters["largest_reward"])
         self.stopped = bool(counters["stopped"])

@@ -16,7 +16,7 @@ import numpy as np
 from bnprl_agents.controllers.controller import Controller
 from bnprl_agents.controllers.messages import Counts
 from bnprl_agents.episodes import FloatArray
-from bnprl_agents.policy_files import Arrays
+from bnprl_agents.policy_files import Arrays, taken
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,6 +122,7 @@ def restored_evidence(
 
     Raises:
         KeyError: an array is missing.
+        ValueError: one does not fit the controllers.
     """
     posteriors, statistics = [], []
     for n, (prior, mean) in enumerate(zip(priors, means, strict=True)):
@@ -131,7 +132,19 @@ def restored_evidence(
             for name, table in arrays.items()
             if name.startswith(begin) and name.endswith(end)
         }
-        posteriors.append(prior.restore(mean, parameters))
-        found = (arrays[f"{prefix}statistics_{field}_{n}"] for field in Counts._fields)
-        statistics.append(Counts(*found))
+        posterior = prior.restore(mean, parameters)
+        if posterior.mean.successor.shape != mean.successor.shape:
+            raise ValueError(f"{begin}successor{end}: does not fit the controller")
+        posteriors.append(posterior)
+        statistics.append(restored_counts(arrays, f"{prefix}statistics_{{}}_{n}", mean))
     return tuple(posteriors), tuple(statistics)
+
+
+def restored_counts(arrays: Arrays, names: str, like: Controller) -> Counts:
+    """Counts of a controller's shapes, from arrays in whose names {} stands for the field.
+
+    Raises:
+        ValueError: one has another shape.
+    """
+    shapes = {name: table.shape for name, table in vars(like).items()}
+    return Counts(*(taken(arrays, names.format(k), shapes[k]) for k in Counts._fields))

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+
+from bnprl_agents.policy_files import INFINITE, number
 
 
 def check_schedule(exponent: float, offset: float) -> None:
@@ -26,6 +30,20 @@ def exponential(logarithm: float) -> float:
     """exp, infinite where it overflows: importance ratios know no bound."""
     with np.errstate(over="ignore"):
         return float(np.exp(logarithm))
+
+
+def saved_log(logarithm: float) -> float | None:
+    """A logarithm as JSON has it: that of 0 is null."""
+    return None if logarithm == -np.inf else logarithm
+
+
+def restored_log(value: Any) -> float:
+    """Return what `saved_log` was given.
+
+    Raises:
+        ValueError: it is no number.
+    """
+    return -np.inf if value in (None, INFINITE["-Infinity"]) else number("log_value", value)
 
 
 def blended_value(log_old: float, log_new: float, rate: float) -> tuple[float, float]:

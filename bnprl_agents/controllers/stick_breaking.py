@@ -8,7 +8,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from bnprl_agents.agent import Metrics
-from bnprl_agents.controllers.controller import Controller
+from bnprl_agents.controllers.controller import Controller, restored_exploration
 from bnprl_agents.controllers.initialisation import (
     controllers_from_episodes,
     controllers_of_observations,
@@ -20,10 +20,11 @@ from bnprl_agents.controllers.priors import (
     node_count,
     restored_evidence,
 )
+from bnprl_agents.controllers.schedules import restored_log, saved_log
 from bnprl_agents.controllers.stick_breaking_prior import StickBreakingPrior
 from bnprl_agents.controllers.variational import BayesianConfig, BayesianEM
 from bnprl_agents.episodes import EpisodeBatch, FloatArray
-from bnprl_agents.policy_files import Arrays
+from bnprl_agents.policy_files import Arrays, number
 
 
 @dataclass(frozen=True)
@@ -212,15 +213,20 @@ class StickBreaking(BayesianEM):
 
     def counters(self) -> dict[str, Any]:
         """What `NestedEM.counters` counts, and what the starts have earned."""
-        best = None if self.best is None else [self.best.earned, self.best.log_value]
+        best = None
+        if self.best is not None:
+            best = [self.best.earned, saved_log(self.best.log_value)]
         return super().counters() | {"earned": self.earned, "best": best}
 
     def restore(self, arrays: Arrays, counters: dict[str, Any]) -> None:
         """Take over a saved state; see `Agent.restore`."""
         super().restore(arrays, counters)
-        self.earned = float(counters["earned"])
+        self.earned = number("earned", counters["earned"])
         if counters["best"] is not None:
-            earned, log_value = map(float, counters["best"])
-            explore = tuple(arrays[f"best_explore_{n}"] for n in range(len(self.controllers)))
+            earned, log_value = counters["best"]
+            explore = tuple(
+                restored_exploration(arrays, f"best_explore_{n}", c.n_nodes)
+                for n, c in enumerate(self.controllers)
+            )
             evidence = restored_evidence(arrays, self.priors, self.controllers, "best_")
-            self.best = Start(earned, log_value, explore, *evidence)
+            self.best = Start(number("best", earned), restored_log(log_value), explore, *evidence)

@@ -14,6 +14,7 @@ from numba import njit
 
 from bnprl_agents.episodes import FloatArray, IntArray
 from bnprl_agents.gaussian_process.kernels import radial
+from bnprl_agents.settings import check_entries
 
 
 class Basis(NamedTuple):
@@ -37,7 +38,12 @@ class Basis(NamedTuple):
 
 
 def empty_basis(capacity: int, dimensions: int, *leading: int) -> Basis:
-    """Return a basis without points, or an array of such along leading axes."""
+    """Return a basis without points, or an array of such along leading axes.
+
+    Raises:
+        ValueError: a table would be larger than `bnprl_agents.settings.MOST_ENTRIES`.
+    """
+    check_entries("budget", *leading, capacity, max(capacity, dimensions))
     return Basis(
         points=np.zeros((*leading, capacity, dimensions)),
         weights=np.zeros((*leading, capacity)),

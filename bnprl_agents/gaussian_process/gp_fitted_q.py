@@ -20,9 +20,15 @@ from bnprl_agents.gaussian_process.kernels import (
     check_bandwidth,
     check_positive,
 )
-from bnprl_agents.policy_files import Arrays
+from bnprl_agents.policy_files import Arrays, count, taken
 from bnprl_agents.settings import Settings
-from bnprl_agents.value_learner import Transitions, ValueAgent, check_exponent, taken
+from bnprl_agents.value_learner import (
+    Transitions,
+    ValueAgent,
+    check_exponent,
+    restored_actions,
+    restored_transitions,
+)
 
 
 @dataclass(frozen=True)
@@ -61,10 +67,9 @@ class GPFittedQConfig(Settings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if isinstance(self.regularization, str):
-            if self.regularization != "auto":
+        if self.regularization != "auto":
+            if not isinstance(self.regularization, (int, float)):
                 raise ValueError(f"regularization: {self.regularization!r}, must be 'auto' or > 0")
-        else:
             check_positive("regularization", self.regularization)
         for name in ("sweeps", "fit_every", "capacity"):
             if getattr(self, name) < 1:
@@ -179,23 +184,16 @@ class GPFittedQ(ValueAgent):
     def restore(self, arrays: Arrays, counters: dict[str, Any]) -> None:
         """Take over a saved state; see `Agent.restore`."""
         super().restore(arrays, counters)
-        self._since_fit = int(counters["since_fit"])
+        self._since_fit = count("since_fit", counters["since_fit"])
 
     def restore_learned(self, arrays: Arrays) -> None:
         """Take over saved tuples and their fit."""
         dimensions = self.features.dimensions
-        n = len(arrays["tuple_actions"])
-        self.tuples = Transitions(
-            taken(arrays, "tuple_points", (n, dimensions)),
-            arrays["tuple_actions"].astype(np.int64),
-            taken(arrays, "tuple_rewards", (n,)),
-            taken(arrays, "tuple_next_points", (n, dimensions)),
-            arrays["tuple_terminated"].astype(np.bool_),
-        )
+        self.tuples = restored_transitions(arrays, "tuple_", dimensions, self.n_actions)
         if "fitted_weights" in arrays:
             m = len(arrays["fitted_weights"])
             self._fitted = (
                 taken(arrays, "fitted_points", (m, dimensions)),
-                arrays["fitted_actions"].astype(np.int64),
+                restored_actions(arrays, "fitted_actions", self.n_actions),
                 taken(arrays, "fitted_weights", (m,)),
             )

@@ -24,9 +24,9 @@ from bnprl_agents.gaussian_process.sparse_gp import (
     check_forgetting,
     check_sparsity,
 )
-from bnprl_agents.policy_files import Arrays
+from bnprl_agents.policy_files import Arrays, taken
 from bnprl_agents.settings import Settings
-from bnprl_agents.value_learner import Transitions, check_exponent, taken
+from bnprl_agents.value_learner import Transitions, check_exponent, restored_transitions
 
 OPTIMISM = 2.0
 """Variances by which the optimistic variant overestimates; section 3.4.3."""
@@ -127,13 +127,7 @@ class GPQ(CompiledValueAgent):
         seed: int,
     ) -> None:
         super().__init__(observation_space, action_space, config, discount=discount, seed=seed)
-        joint = self.config.inputs == "joint"
-        actions = np.arange(self.n_actions)
-        self.inputs = Inputs(
-            np.zeros_like(actions) if joint else actions,
-            actions[:, None].astype(np.float64) if joint else np.zeros((self.n_actions, 0)),
-        )
-        dimensions = self.features.dimensions + self.inputs.code.shape[1]
+        dimensions = self.features.dimensions + self._joint
         self.prior = Prior(
             self.config.prior_mean,
             np.array(broadcast_bandwidth(self.config.bandwidth, dimensions)),
@@ -144,6 +138,11 @@ class GPQ(CompiledValueAgent):
             self.config.forgetting,
         )
         self.basis = self._empty()
+        actions = np.arange(self.n_actions)
+        self.inputs = Inputs(
+            np.zeros_like(actions) if self._joint else actions,
+            actions[:, None].astype(np.float64) if self._joint else np.zeros((self.n_actions, 0)),
+        )
         self._kept: list[Transitions] = []
 
     @property
@@ -200,6 +199,10 @@ class GPQ(CompiledValueAgent):
     def _optimistic(self) -> bool:
         return self.config.exploration == "optimistic"
 
+    @property
+    def _joint(self) -> bool:
+        return self.config.inputs == "joint"
+
     def _processes(self, optimism: float) -> Processes:
         return Processes(self.basis, self.inputs, self.prior, optimism, self.discount)
 
@@ -252,9 +255,10 @@ class GPQ(CompiledValueAgent):
         self.prior = self.prior._replace(
             bandwidth=np.array(kernel.bandwidth), amplitude=amplitude, noise=noise
         )
-        if "kept_points" in arrays:
-            self._kept = [Transitions(*(arrays[f"kept_{name}"] for name in Transitions._fields))]
+        if "kept_actions" in arrays:
+            dimensions = self.features.dimensions
+            self._kept = [restored_transitions(arrays, "kept_", dimensions, self.n_actions)]
 
     def _empty(self) -> Basis:
-        processes = int(self.inputs.owner.max()) + 1
+        processes = 1 if self._joint else self.n_actions
         return empty_basis(self.prior.budget + 1, self.prior.bandwidth.size, processes)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Generic, NamedTuple
 
-from bnprl_agents.policy_files import Arrays
+from bnprl_agents.policy_files import Arrays, count, number, taken
 from bnprl_agents.proximal.adam import Adam, Tables, like
 from bnprl_agents.proximal.critic import Critic
 
@@ -43,20 +43,16 @@ class Actor(NamedTuple, Generic[Tables]):
             for name, table in tables._asdict().items()
         }
 
-    def restored(
-        self, arrays: Arrays, updates: int, scale: float, suffix: str = ""
-    ) -> Actor[Tables]:
-        """The actor that `arrays` was called on.
+    def restored(self, arrays: Arrays, updates: Any, scale: Any, suffix: str = "") -> Actor[Tables]:
+        """The actor that `arrays` was called on, from a policy file.
 
         Raises:
-            ValueError: an array has another shape than this actor's.
+            ValueError: an array has another shape than this actor's, or a number is out of range.
         """
-        found = {name: arrays[name] for name in self.arrays(suffix)}
-        for name, table in self.arrays(suffix).items():
-            if found[name].shape != table.shape:
-                raise ValueError(f"{name}: shape {found[name].shape}, must be {table.shape}")
-        tables, size = list(found.values()), len(self.logits)
+        tables = [taken(arrays, name, t.shape) for name, t in self.arrays(suffix).items()]
+        size = len(self.logits)
         logits, mean, square = (
             like(self.logits, tables[n * size : (n + 1) * size]) for n in range(3)
         )
-        return Actor(logits, Adam(mean, square, updates), Critic(*tables[3 * size :]), scale)
+        moments = Adam(mean, square, count("updates", updates))
+        return Actor(logits, moments, Critic(*tables[3 * size :]), number("scale", scale, 0.0))

@@ -19,10 +19,9 @@ from bnprl_agents.gaussian_process.kernels import (
     check_positive,
     radial,
 )
-from bnprl_agents.policy_files import Arrays
+from bnprl_agents.policy_files import Arrays, taken
 from bnprl_agents.q_learning.schedule import check_schedules, learning_rate
-from bnprl_agents.settings import Settings
-from bnprl_agents.value_learner import taken
+from bnprl_agents.settings import Settings, check_entries
 
 MOST_BASES = 10**6
 """Largest number of bases."""
@@ -131,6 +130,7 @@ class LinearQ(CompiledValueAgent):
             broadcast_bandwidth(self.config.bandwidth, self.features.dimensions)
         )
         self.centres = np.ascontiguousarray(self._grid(observation_space) / self.bandwidth)
+        check_entries("bases, action_space", len(self.centres), self.n_actions)
         self.weights = np.zeros((self.n_actions, len(self.centres)))
         self.correction = np.zeros_like(self.weights)
         self._diverged = np.zeros(1, dtype=np.bool_)
@@ -175,6 +175,8 @@ class LinearQ(CompiledValueAgent):
     def _grid(self, space: gym.Space[Any]) -> FloatArray:
         """Return the centres (M, D) of the bases, as points."""
         if isinstance(space, gym.spaces.Discrete):
+            if space.n > MOST_BASES:
+                raise ValueError(f"observation_space: {space}, has more than {MOST_BASES:,} bases")
             return self.features.points
         bases, dimensions = self.config.bases, self.features.dimensions
         if bases**dimensions > MOST_BASES:

@@ -12,10 +12,9 @@ from numba import njit
 from bnprl_agents.agent import Metrics
 from bnprl_agents.compiled_values import CompiledValueAgent, register
 from bnprl_agents.episodes import FloatArray, IntArray
-from bnprl_agents.policy_files import Arrays
+from bnprl_agents.policy_files import Arrays, taken
 from bnprl_agents.q_learning.schedule import check_schedules, learning_rate
-from bnprl_agents.settings import Settings
-from bnprl_agents.value_learner import taken
+from bnprl_agents.settings import Settings, check_entries
 
 MOST_CELLS = 10**7
 """Largest table."""
@@ -38,7 +37,8 @@ class TabularQConfig(Settings):
     high: tuple[float, ...] = ()
     """Upper ends."""
     grid_columns: int = 0
-    """Of no use: cells of a grid are cells of the table."""
+    """Columns of the grid whose cells a Discrete observation counts row by row, as pictures show
+    it; the table does not depend on it. 0: none."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -80,6 +80,7 @@ class TabularQ(CompiledValueAgent):
 
     Config = TabularQConfig
     config: TabularQConfig
+    needs_distance = False
 
     def __init__(
         self,
@@ -93,6 +94,7 @@ class TabularQ(CompiledValueAgent):
         super().__init__(observation_space, action_space, config, discount=discount, seed=seed)
         self._scale, self._largest, self._stride = self._division(observation_space)
         n_cells = int(self._largest @ self._stride) + 1
+        check_entries("observation_space, action_space", n_cells, self.n_actions)
         self.table = np.zeros((n_cells, self.n_actions))
 
     @property
@@ -130,21 +132,32 @@ class TabularQ(CompiledValueAgent):
                 np.full(dimensions, bins - 1),
                 bins ** np.arange(dimensions),
             )
-        cells = self.features.points.max(axis=0).astype(np.int64)
-        stride = (
-            np.array([self.config.grid_columns, 1])
-            if self.config.grid_columns
-            else np.arange(dimensions)
-        )
-        return np.ones(dimensions), cells, stride
+        largest = self.features.high.astype(np.int64)
+        stride = np.array([self.features.columns, 1]) if self.features.columns else np.ones(1, int)
+        return np.ones(dimensions), largest, stride
 
     def learned_arrays(self) -> Arrays:
         """The table."""
         return {"table": self.table}
 
+    def restore(self, arrays: Arrays, counters: dict[str, Any]) -> None:
+        """Take over a saved state; see `Agent.restore`."""
+        if self.features.numbered:
+            arrays = _numbered(arrays, len(self.table))
+        super().restore(arrays, counters)
+
     def restore_learned(self, arrays: Arrays) -> None:
         """Take over a saved table."""
         self.table = taken(arrays, "table", self.table.shape)
+
+
+def _numbered(arrays: Arrays, n: int) -> Arrays:
+    """Arrays of a policy file that may be of a time when n values were corners of a simplex."""
+    corners = [
+        name for name, a in arrays.items() if name.endswith("points") and a.shape[1:] == (n,)
+    ]
+    numbers = {name: arrays[name].argmax(axis=1)[:, None] for name in corners if n > 1}
+    return arrays | numbers | {"table": arrays["table"][:n]}  # it had rows to spare
 
 
 @njit(cache=True)
@@ -152,8 +165,11 @@ def cell(table, x):  # type: ignore[no-untyped-def]
     """Return the cell of a point (D,)."""
     number = 0
     for d in range(x.size):
-        index = min(max(int(np.floor(x[d] * table.scale[d])), 0), table.largest[d])
-        number += index * table.stride[d]
+        place = x[d] * table.scale[d]
+        if place >= table.largest[d]:
+            number += table.largest[d] * table.stride[d]
+        elif place > 0.0:
+            number += int(place) * table.stride[d]
     return number
 
 

@@ -228,7 +228,9 @@ def test_a_pool_weighs_against_the_mixture_of_what_collected_it():
     foreign = replace(batches[0], behaviour=np.full_like(batches[0].behaviour, 0.9))
     pool.add(foreign, behaviours[0])
     np.testing.assert_allclose(pool.episodes.behaviour[-foreign.n_steps :], 0.9)
-    again = EpisodePool.restored(pool.state_arrays(), 1)
+    again = EpisodePool.restored(
+        pool.state_arrays(), model.action_sizes, (model.observation_sizes[0] + 1,)
+    )
     for one in (pool, again):
         one.add(batches[1], behaviours[1])
     np.testing.assert_array_equal(pool.episodes.behaviour, again.episodes.behaviour)

@@ -141,7 +141,7 @@ def test_bad_input_is_refused_in_one_line():
     rng = np.random.default_rng(6)
     episodes = random_episodes(rng, (3,), (2,), (2,))
     small, large = (random_team(rng, (2,), (a,), (o,))[0] for a, o in ((2, 1), (2, 2)))
-    with pytest.raises(ValueError, match="observations: found 0 to 1, the controller has 0 to 0"):
+    with pytest.raises(ValueError, match="observations: found 0 to 1, must lie in 0 to 0"):
         soft_counts(episodes, small, DISCOUNT)
     with pytest.raises(ValueError, match="2 controllers for 1 agents"):
         soft_counts(episodes, [large, large], DISCOUNT)

@@ -302,6 +302,32 @@ def test_tables_and_bases_by_hand():
     assert linear.action_values([1.0, 0.5])[0] == pytest.approx([0.0, wanted, 0.0])
 
 
+def test_outer_cells_go_on_beyond():
+    agent = build("tabular")
+    agent.table[:, 0] = np.arange(16)
+    far = np.array([1.0, 2.0, 1e19, 1e300, 1.7e308])
+    for x, column in ((far, 3.0), (-far, 0.0)):
+        seen = np.stack([x, np.full(5, 0.3)], axis=1)
+        assert agent.action_values(seen)[:, 0].tolist() == [column + 4.0] * 5
+
+
+@pytest.mark.parametrize("columns", [0, 5])
+def test_a_discrete_observation_is_its_own_cell_whatever_the_grid(columns):
+    space = gym.spaces.Discrete(23, start=1)
+    agent = build("tabular", observation_space=space, grid_columns=columns)
+    agent.table[:, 0] = np.arange(len(agent.table))
+    assert agent.action_values(np.arange(1, 24))[:, 0].tolist() == list(range(23))
+
+
+def test_a_table_of_many_values_needs_no_more_than_the_table():
+    agent = build("tabular", observation_space=gym.spaces.Discrete(10**6))
+    agent.reset(10**6 - 1)
+    agent.observe(1, 1.0, 3, True, False)
+    agent.update()
+    assert np.argwhere(agent.table).tolist() == [[10**6 - 1, 0]]
+    assert agent._points.shape == (1, 1)
+
+
 def test_gq_by_hand():
     """Two transitions on one basis at the point itself: phi = phi_t = 1."""
     agent = build("gq", bases=1, correction_rate=0.5, rate_exponent=0.0)
@@ -330,7 +356,12 @@ def test_features():
     assert Features(box)([0.0, 14.0]).tolist() == [[0.25, 2.0]]
     cells = Features(gym.spaces.Discrete(6, start=1), grid_columns=3)
     assert cells(np.array([1, 5])).tolist() == [[0.0, 0.0], [1.0, 1.0]]
+    assert cells.points.tolist() == [[0, 0], [0, 1], [0, 2], [1, 0], [1, 1], [1, 2]]
+    assert cells.high.tolist() == [1.0, 2.0]
+    line = Features(gym.spaces.Discrete(3), grid_columns=10**30)
+    assert line.points.tolist() == [[0.0, 0.0], [0.0, 1.0], [0.0, 2.0]]
     assert Features(gym.spaces.Discrete(3))(2).tolist() == [[0.0, 0.0, 1.0]]
+    assert Features(gym.spaces.Discrete(3, start=1), numbered=True)([3, 1]).tolist() == [[2.0], [0]]
     for arguments in ({"low": (1.0, 1.0)}, {"low": (0.0,)}, {"grid_columns": 2}):
         with pytest.raises(ValueError, match=r"low|grid_columns"):
             Features(SQUARE, **arguments)
