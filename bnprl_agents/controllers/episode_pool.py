@@ -9,6 +9,7 @@ import numpy as np
 from numba import njit
 
 from bnprl_agents.controllers.controller import Controller
+from bnprl_agents.controllers.filtering import node_beliefs
 from bnprl_agents.controllers.messages import Counts, running_sum
 from bnprl_agents.episodes import EpisodeBatch, FloatArray
 from bnprl_agents.policy_files import Arrays
@@ -119,11 +120,9 @@ def log_probability(episodes: EpisodeBatch, behaviour: Behaviour) -> FloatArray:
     agents: Sequence[FloatArray] = [
         _log_probability(
             episodes.offsets,
-            episodes.observations[:, n],
             episodes.actions[:, n],
-            controller.initial,
+            node_beliefs(episodes, n, controller),
             controller.action,
-            controller.successor,
             explore,
         )
         for n, (controller, explore) in enumerate(
@@ -135,26 +134,14 @@ def log_probability(episodes: EpisodeBatch, behaviour: Behaviour) -> FloatArray:
 
 
 @njit(cache=True)
-def _log_probability(offsets, observations, actions, initial, action, successor, explore):  # type: ignore[no-untyped-def]
-    n_nodes, n_actions = action.shape
-    found = np.empty(observations.size)
-    node, ahead = np.empty(n_nodes), np.empty(n_nodes)
+def _log_probability(offsets, actions, nodes, action, explore):  # type: ignore[no-untyped-def]
+    n_actions = action.shape[1]
+    found = np.empty(actions.size)
     for k in range(offsets.size - 1):
         so_far = 0.0
-        node[:] = initial[observations[offsets[k]]]
         for t in range(offsets[k], offsets[k + 1]):
-            if t > offsets[k]:
-                move = successor[actions[t - 1], observations[t]]
-                ahead[:] = 0.0
-                for i in range(n_nodes):
-                    ahead += node[i] * action[i, actions[t - 1]] * move[i]
-                total = ahead.sum()
-                if total > 0.0:
-                    node[:] = ahead / total
-                else:
-                    node[:] = 1.0 / n_nodes
-            exploring = (node * explore).sum()
-            exploit = (node * action[:, actions[t]]).sum()
+            exploring = (nodes[t] * explore).sum()
+            exploit = (nodes[t] * action[:, actions[t]]).sum()
             so_far += np.log((1.0 - exploring) * exploit + exploring / n_actions)
             found[t] = so_far
     return found
