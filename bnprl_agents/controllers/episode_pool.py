@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 
 from bnprl_agents.controllers.controller import Controller
-from bnprl_agents.controllers.filtering import node_beliefs
+from bnprl_agents.controllers.filtering import filter_node
 from bnprl_agents.controllers.messages import Counts, running_sum
 from bnprl_agents.episodes import EpisodeBatch, FloatArray
 from bnprl_agents.policy_files import Arrays
@@ -120,9 +120,11 @@ def log_probability(episodes: EpisodeBatch, behaviour: Behaviour) -> FloatArray:
     agents: Sequence[FloatArray] = [
         _log_probability(
             episodes.offsets,
+            episodes.observations[:, n],
             episodes.actions[:, n],
-            node_beliefs(episodes, n, controller),
+            controller.initial,
             controller.action,
+            controller.successor,
             explore,
         )
         for n, (controller, explore) in enumerate(
@@ -134,14 +136,19 @@ def log_probability(episodes: EpisodeBatch, behaviour: Behaviour) -> FloatArray:
 
 
 @njit(cache=True)
-def _log_probability(offsets, actions, nodes, action, explore):  # type: ignore[no-untyped-def]
-    n_actions = action.shape[1]
-    found = np.empty(actions.size)
+def _log_probability(offsets, observations, actions, initial, action, successor, explore):  # type: ignore[no-untyped-def]
+    n_nodes, n_actions = action.shape
+    found = np.empty(observations.size)
+    node, work = np.empty(n_nodes), np.empty(n_nodes)
     for k in range(offsets.size - 1):
         so_far = 0.0
+        node[:] = initial[observations[offsets[k]]]
         for t in range(offsets[k], offsets[k + 1]):
-            exploring = (nodes[t] * explore).sum()
-            exploit = (nodes[t] * action[:, actions[t]]).sum()
+            if t > offsets[k]:
+                move = successor[actions[t - 1], observations[t]]
+                filter_node(node, action[:, actions[t - 1]], move, work)
+            exploring = (node * explore).sum()
+            exploit = (node * action[:, actions[t]]).sum()
             so_far += np.log((1.0 - exploring) * exploit + exploring / n_actions)
             found[t] = so_far
     return found

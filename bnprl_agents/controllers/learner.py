@@ -9,8 +9,8 @@ import numpy as np
 
 from bnprl_agents.controllers.controller import Controller, random_controller
 from bnprl_agents.controllers.exploration import exploring_probability, team_exploring
-from bnprl_agents.controllers.filtering import node_beliefs
-from bnprl_agents.controllers.messages import Counts
+from bnprl_agents.controllers.filtering import mean_before_acting
+from bnprl_agents.controllers.messages import Counts, Messages
 from bnprl_agents.controllers.rollout import check_fit, rollout
 from bnprl_agents.episodes import EpisodeBatch, FloatArray, IntArray
 from bnprl_agents.history_agent import HistoryAgent
@@ -160,12 +160,12 @@ class ControllerAgent(HistoryAgent):
             for occupancy in occupancies
         )
 
-    def exploring_share(self, episodes: EpisodeBatch) -> float:
+    def exploring_share(self, episodes: EpisodeBatch, messages: Sequence[Messages]) -> float:
         """Mean probability, given the history, that the team explores at a step; (6.17)."""
         each = [
-            node_beliefs(episodes, n, controller) @ explore
-            for n, (controller, explore) in enumerate(
-                zip(self.controllers, self.explore, strict=True)
+            mean_before_acting(episodes, n, controller, message, explore)
+            for n, (controller, message, explore) in enumerate(
+                zip(self.controllers, messages, self.explore, strict=True)
             )
         ]
         return float(team_exploring(np.stack(each, axis=1)).mean())

@@ -91,7 +91,7 @@ class MonteCarloEM(ControllerAgent):
         data = shifted(episodes, self.config.reward_shift, self.discount)
         weights = rewards_from(data, self.discount)
         messages = [forward(data, n, controller) for n, controller in enumerate(self.controllers)]
-        exploring = self.exploring_share(data)
+        exploring = self.exploring_share(data, messages)
         improved, visits = [], []
         for n, (controller, message) in enumerate(zip(self.controllers, messages, strict=True)):
             last = last_possible(data, message.likelihood)

@@ -213,7 +213,7 @@ class NestedEM(ControllerAgent):
         messages = [forward(data, n, controller) for n, controller in enumerate(self.controllers)]
         metrics = {
             "return_mean": float(episodes.returns(self.discount).mean()),
-            "exploring": self.exploring_share(data),
+            "exploring": self.exploring_share(data, messages),
         }
         if self.config.weighting == "reward":
             metrics["value"] = exponential(self.weigh(data, messages).log_value)

@@ -7,7 +7,7 @@ import pytest
 from bnprl_agents.controllers.controller import Controller
 from bnprl_agents.controllers.em import BatchEM, BatchEMConfig
 from bnprl_agents.controllers.exploration import exploration_suffices, exploring_probability
-from bnprl_agents.controllers.filtering import node_beliefs
+from bnprl_agents.controllers.filtering import mean_before_acting
 from bnprl_agents.controllers.infinite import InfiniteRPR
 from bnprl_agents.controllers.learner import shifted
 from bnprl_agents.controllers.messages import forward, reward_shares, soft_counts
@@ -78,29 +78,32 @@ def test_the_share_that_explores_is_that_of_the_behaviour():
         np.full((4, 2), 0.5), np.array([[1.0, 0.0], [0.5, 0.5]]), np.ones((2, 4, 2, 2)) / 2
     )
     agent = BatchEM(*SPACES, BatchEMConfig(nodes=2), discount=0.9, seed=0)
-    agent.begin_at([two_nodes])
-    agent.explore = (np.array([0.2, 0.8]),)
     episodes = random_episodes(np.random.default_rng(3), (1,) * 8, (2,), (4,))
-    assert agent.exploring_share(episodes) == pytest.approx(0.5)  # whatever they did next
-    agent.begin_at([blind(0)])
-    agent.explore = (np.ones(1),)
-    assert agent.exploring_share(episodes) == 1.0  # also where the controller cannot act so
+    for team, explore, share in ((two_nodes, [0.2, 0.8], 0.5), (blind(0), [1.0], 1.0)):
+        agent.begin_at([team])
+        agent.explore = (np.array(explore),)
+        messages = [forward(episodes, 0, team)]
+        assert agent.exploring_share(episodes, messages) == pytest.approx(share)
 
 
 def test_compiled_and_acting_filter_agree():
     rng = np.random.default_rng(4)
-    episodes = random_episodes(rng, (6,), (2,), (4,))
+    episodes = random_episodes(rng, (6, 5), (2,), (4,))
     free, never = random_team(rng, (3, 3), (2, 2), (4, 4))
     never = Controller(never.initial, np.eye(2)[[0, 0, 0]], never.successor)
-    assert episodes.actions[:, 0].tolist().count(1) > 1
+    assert (episodes.actions[:4, 0] == 1).any(), "the case has actions that cannot be taken"
+    quantity, wanted = rng.random(3), []
     for controller in (free, never):
-        belief, wanted = controller.begin(episodes.observations[:1, 0]), []
-        for t in range(6):
-            wanted.append(belief[0])
-            if t < 5:
-                seen = episodes.observations[[t + 1], 0]
-                belief = controller.advance(belief, episodes.actions[[t], 0], seen)
-        np.testing.assert_allclose(node_beliefs(episodes, 0, controller), wanted)
+        for one in (episodes.between(0, 1), episodes.between(1, 2)):
+            belief = controller.begin(one.observations[:1, 0])
+            wanted.append(belief @ quantity)
+            for action, seen in zip(one.actions[:-1, 0], one.observations[1:, 0], strict=True):
+                belief = controller.advance(belief, np.array([action]), np.array([seen]))
+                wanted.append(belief @ quantity)
+    found = [
+        mean_before_acting(episodes, 0, c, forward(episodes, 0, c), quantity) for c in (free, never)
+    ]
+    np.testing.assert_allclose(np.concatenate(found), np.concatenate(wanted))
 
 
 def test_stopping_rule():
