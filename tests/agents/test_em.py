@@ -110,6 +110,7 @@ def test_stopping_rule():
     # threshold (1 - .9) * .5 / 2 = .025
     assert exploration_suffices(0.024, 0.9, 0.5, 2.0)
     assert not exploration_suffices(0.026, 0.9, 0.5, 2.0)
+    assert not exploration_suffices(1.0, 0.9, 0.5, 0.0)
 
 
 def test_shift_leaves_the_differences_between_policies_alone():
@@ -238,6 +239,16 @@ def test_online_stops_when_exploring_is_negligible():
     policy = agent.controllers
     assert agent.learn(random_episodes(rng, (3, 4), (2,), (4,))) == {"stopped": 1.0}
     assert agent.controllers is policy
+
+
+def test_online_does_not_stop_where_nothing_has_been_earned():
+    rng = np.random.default_rng(6)
+    agent = OnlineEM(*SPACES, OnlineEMConfig(nodes=2, tolerance=0.1), discount=0.9, seed=0)
+    for earned in (0.0, 0.0, 1.0):
+        episodes = random_episodes(rng, (3, 4), (2,), (4,))
+        episodes.rewards[:] *= earned
+        assert "stopped" not in agent.learn(episodes)
+    assert agent.value > 0.0
 
 
 def test_fixed_behaviour_stays_uniform():
