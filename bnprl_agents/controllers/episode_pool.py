@@ -43,7 +43,8 @@ class EpisodePool:
     SIGGRAPH 1995; for policies, Peshkin and Shelton, Learning from scarce experience, ICML 2002.
 
     Episodes whose recorded probabilities are not those of the behaviour that is said to have
-    collected them, a given data set say, keep what was recorded.
+    collected them keep what was recorded: a given data set, or episodes of stepped copies that
+    were under way when the policy changed.
 
     Attributes:
         episodes: K of them, with the mixture's conditional probabilities as their behaviour, in
@@ -62,17 +63,20 @@ class EpisodePool:
         old = self.episodes
         joined = fresh if old is None else EpisodeBatch.concatenate([old, fresh])
         log_fresh = running_sum(fresh.offsets, np.log(fresh.behaviour).sum(axis=1))
-        own = np.abs(log_fresh - log_probability(fresh, behaviour)).max() < TOLERANCE
-        if own:
+        off = np.abs(log_fresh - log_probability(fresh, behaviour))
+        own = np.maximum.reduceat(off, fresh.offsets[:-1]) < TOLERANCE
+        mixed = np.repeat(own, fresh.lengths)
+        if own.any():
+            behaviour = behaviour._replace(episodes=int(own.sum()))
             if old is not None:
                 seen = np.log(behaviour.episodes) + log_probability(old, behaviour)
                 mixture = np.logaddexp(self._log_mixture, seen)
                 self._log_mixture = np.where(self._mixed, mixture, self._log_mixture)
             self.behaviours.append(behaviour)
             every = [np.log(b.episodes) + log_probability(fresh, b) for b in self.behaviours]
-            log_fresh = np.logaddexp.reduce(every)
+            log_fresh = np.where(mixed, np.logaddexp.reduce(every), log_fresh)
         self._log_mixture = np.append(self._log_mixture, log_fresh)
-        self._mixed = np.append(self._mixed, np.full(fresh.n_steps, own))
+        self._mixed = np.append(self._mixed, mixed)
         first = joined.offsets[:-1]
         log_b = np.diff(self._log_mixture, prepend=0.0)
         log_total = np.log(max(1, sum(b.episodes for b in self.behaviours)))
