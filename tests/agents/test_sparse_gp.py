@@ -23,7 +23,7 @@ def learned(kernel, x, y, **settings):
 
 
 def exact_posterior(kernel, noise, x, y, at):
-    """Mean and variance of the exact Gaussian process; (3.2), (3.3) without the noise's variance."""
+    """Mean and variance of the exact Gaussian process; (3.2), (3.3) less the noise's variance."""
     factor = cho_factor(kernel(x, x) + noise * np.eye(len(x)))
     cross = kernel(at, x)
     explained = np.einsum("ij,ji->i", cross, cho_solve(factor, cross.T))
