@@ -21,8 +21,8 @@ from bnprl_agents.episodes import BoolArray, FloatArray, IntArray
 from bnprl_agents.policy_files import Arrays
 
 ROW_PRIOR: GammaPrior = (10.0, 10.0)
-"""Of alpha; shape and rate. Section 5.5 calls them "scale" and "shape", with which the mean would be
-100, not 1, and all rows nearly beta: we take it for a slip, as this is how such pairs are read."""
+"""Of alpha; shape and rate, as the sampler's source uses such pairs. Section 5.5 calls them "scale"
+and "shape", with which the mean would be 100, not 1, and rows would long stay close to beta."""
 TOP_PRIOR: GammaPrior = (3.0, 10.0)
 """Of lambda; likewise, with mean .3, not 30."""
 SMALLEST = 1e-12

@@ -14,10 +14,11 @@ from bnprl_agents.controllers.variational import BayesianConfig
 class InfiniteRPRConfig(BayesianConfig):
     """Settings of `InfiniteRPR`. Silent in the source, or other than printed, and chosen here.
 
-    alpha ~ Ga(10, 10) and lambda ~ Ga(3, 10) are read as shape and rate; see `ROW_PRIOR`. An
-    episode's occupancy is one path, up to a reward drawn in proportion to nu_t, with all of the episode's nu. The special
-    state enters the E-step with its expected weight. Old episodes are weighed against the mixture
-    of all policies so far, not against the one that collected them.
+    alpha ~ Ga(10, 10) and lambda ~ Ga(3, 10) are read as shape and rate, where section 5.5 has
+    scale and shape; see `hierarchy.ROW_PRIOR`. An episode's occupancy is one path, up to a reward
+    drawn in proportion to nu_t, with all of the episode's nu. The special state enters the E-step
+    with its expected weight. Old episodes are weighed against the mixture of all policies so far,
+    not against the one that collected them.
     """
 
     nodes: int = 30
@@ -54,6 +55,11 @@ class InfiniteRPRConfig(BayesianConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.schedule == "batch" and self.weighting != "reward":
+            raise ValueError(
+                f"weighting: {self.weighting!r}, must be 'reward' with the batch schedule, whose "
+                "episodes are of older policies, too"
+            )
         if not 1 <= self.initial_nodes < self.nodes:
             raise ValueError(
                 f"initial_nodes: {self.initial_nodes}, must lie in [1, nodes - 1], nodes is "

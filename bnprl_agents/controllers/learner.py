@@ -195,6 +195,17 @@ class ControllerAgent(HistoryAgent):
         self.explore = tuple(arrays[f"explore_{n}"] for n in team)
 
 
+def check_shift(shift: float) -> None:
+    """Check a setting reward_shift.
+
+    Raises:
+        ValueError: it is negative, with which a terminal state would earn negative rewards for
+            ever, or not finite.
+    """
+    if not 0.0 <= shift < np.inf:
+        raise ValueError(f"reward_shift: {shift}, must be finite, not negative")
+
+
 def shifted(episodes: EpisodeBatch, shift: float, discount: float) -> EpisodeBatch:
     """Add a constant to every reward without changing which policy is best.
 

@@ -251,6 +251,14 @@ def test_online_does_not_stop_where_nothing_has_been_earned():
     assert agent.value > 0.0
 
 
+def test_no_bound_is_reported_where_it_is_infinite():
+    agent = BatchEM(*SPACES, BatchEMConfig(nodes=1, weighting="return"), discount=0.9, seed=0)
+    agent.begin_at([blind(0)])
+    metrics = agent.learn(random_episodes(np.random.default_rng(6), (3, 4), (2,), (4,)))
+    assert "bound" not in metrics
+    assert np.isfinite(list(metrics.values())).all()
+
+
 def test_fixed_behaviour_stays_uniform():
     rng = np.random.default_rng(7)
     agent = OnlineEM(*SPACES, OnlineEMConfig(nodes=2, behaviour="uniform"), discount=0.9, seed=0)
@@ -268,6 +276,8 @@ def test_fixed_behaviour_stays_uniform():
         (OnlineEMConfig, {"tolerance": -1.0}, "tolerance"),
         (BatchEMConfig, {"exploration_prior": 0.0}, "exploration_prior"),
         (BatchEMConfig, {"reward_shift": np.inf}, "reward_shift"),
+        (BatchEMConfig, {"reward_shift": -1.0}, "reward_shift: -1.0, must be"),
+        (BatchEMConfig, {"keep": True, "weighting": "linear"}, "weighting: 'linear', must be"),
     ],
 )
 def test_settings_out_of_range(config, settings, message):

@@ -25,6 +25,7 @@ from bnprl_agents.controllers.hierarchy import (
 )
 from bnprl_agents.controllers.infinite import InfiniteRPR
 from bnprl_agents.controllers.infinite_settings import InfiniteRPRConfig
+from bnprl_agents.controllers.learner import NegativeRewardError
 from bnprl_agents.controllers.mcem import (
     MonteCarloEM,
     MonteCarloEMConfig,
@@ -331,16 +332,26 @@ def test_monte_carlo_em_approaches_em_on_many_episodes():
         )
 
 
+def test_monte_carlo_em_refuses_negative_rewards():
+    episodes = random_episodes(np.random.default_rng(8), (3, 2), (2,), (3,))
+    episodes.rewards[1] = -2.0
+    agent = MonteCarloEM(*COPYING, MonteCarloEMConfig(nodes=2), discount=DISCOUNT, seed=0)
+    with pytest.raises(NegativeRewardError, match="reward_shift=2 would do"):
+        agent.learn(episodes)
+
+
 @pytest.mark.parametrize(
     ("config", "settings", "message"),
     [
         (InfiniteRPRConfig, {"initial_nodes": 30}, "initial_nodes: 30, must lie in"),
         (InfiniteRPRConfig, {"node_share": 1.0}, "node_share"),
         (InfiniteRPRConfig, {"schedule": "never"}, "schedule"),
+        (InfiniteRPRConfig, {"weighting": "return"}, "weighting: 'return', must be"),
         (MonteCarloEMConfig, {"nodes": 0}, "nodes: 0"),
         (MonteCarloEMConfig, {"confidence": -1.0}, "confidence"),
         (MonteCarloEMConfig, {"successor_concentration": 0.0}, "successor_concentration"),
         (MonteCarloEMConfig, {"reward_shift": np.nan}, "reward_shift"),
+        (MonteCarloEMConfig, {"reward_shift": -1.0}, "reward_shift"),
     ],
 )
 def test_settings_out_of_range(config, settings, message):
