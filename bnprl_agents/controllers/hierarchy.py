@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bnprl_agents.controllers.controller import Controller, normalised
-from bnprl_agents.controllers.dirichlet import dirichlet_divergence, geometric_mean
+from bnprl_agents.controllers.dirichlet import dirichlet_divergence, geometric_mean, one_visit
 from bnprl_agents.controllers.hdp import (
     GammaPrior,
     sample_row_concentration,
@@ -143,12 +143,7 @@ class HierarchicalPrior:
 
     def around(self, controller: Controller) -> Posterior:
         """The prior plus the controller's rows, as from one visit of every entry."""
-        visits = Counts(
-            controller.n_nodes * controller.initial,
-            controller.n_actions * controller.action,
-            controller.n_nodes * controller.successor,
-        )
-        return self.update(visits, None)
+        return self.update(one_visit(controller), None)
 
     def update(self, counts: Counts, old: Posterior | None) -> Posterior:
         """Return prior + counts; what the counts hold in places without a node is left out."""
