@@ -151,8 +151,9 @@ class HistoryAgent(Agent):
                 earned += float(batch.rewards.sum())
                 returned += float(batch.returns(self.discount).sum())
                 yield Progress(done, taken, self.learn(batch), earned, returned / done)
-        if not done:
-            yield Progress(0, 0, reward=0.0)
+        metrics = self.finish()
+        if metrics or not done:
+            yield Progress(done, taken, metrics, earned, returned / done if done else None)
 
     def reset(self, observation: Any, mask: BoolArray | None = None) -> None:
         """Begin new episodes; see `Agent.reset`. The number of copies may change if all begin."""

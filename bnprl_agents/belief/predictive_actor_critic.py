@@ -131,11 +131,11 @@ class PredictiveActorCritic(BeliefAgent):
             use = run_filter(Sequences.of(episodes), self.policy.model).before.mean(axis=0)
             self.actor = divided(self.actor, use, self.rng)
         self.policy = self.actor.logits.policy()
-        return {
+        metrics = {
             "return_mean": float(episodes.returns(self.discount).mean()),
-            "log_likelihood": likelihood,
             "advantage_scale": self.actor.scale,
         }
+        return metrics if likelihood is None else metrics | {"log_likelihood": likelihood}
 
     def _judge(self, episodes: EpisodeBatch) -> Surrogate:
         """Fit the critic; return the policy's objective on these episodes."""
@@ -169,8 +169,11 @@ class PredictiveActorCritic(BeliefAgent):
             Cells(episodes.observations[:, 0], episodes.final_observations[:, 0]),
         )
 
-    def _climb(self, episodes: EpisodeBatch, surrogate: Surrogate) -> float:
-        """Adam on minibatches of new and of old episodes; return the likelihood of the old."""
+    def _climb(self, episodes: EpisodeBatch, surrogate: Surrogate) -> float | None:
+        """Adam on minibatches of new and of old episodes; return the likelihood of the old.
+
+        None where the model does not learn to predict.
+        """
         logits, moments = self.actor.logits, self.actor.moments
         rate = self.config.learning_rate * self.annealing()
         sequences, likelihoods = Sequences.of(episodes), []
@@ -192,7 +195,7 @@ class PredictiveActorCritic(BeliefAgent):
                 logits, slope, rate, square_memory=SQUARE_MEMORY, tiny=TINY
             )
         self.actor = self.actor._replace(logits=logits, moments=moments)
-        return float(np.mean(likelihoods)) if likelihoods else float("nan")
+        return float(np.mean(likelihoods)) if likelihoods else None
 
     def _draw_old(self) -> Sequences:
         """Some episodes, about `minibatch_steps` steps, of a batch drawn from the replay."""

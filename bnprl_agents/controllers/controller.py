@@ -19,7 +19,7 @@ from bnprl_agents.settings import check_entries
 
 @dataclass(frozen=True, eq=False)
 class Controller:
-    """A stochastic finite-state controller of one agent; Definition 2.42 of the dissertation.
+    """A stochastic finite-state controller of one agent; Definition 1 of the dissertation.
 
     Its node is never sampled: acting filters the distribution over nodes, so that the controller
     is a map from histories to action distributions (the regionalized policy representation).

@@ -26,6 +26,15 @@ def dirichlet_divergence(q: FloatArray, p: FloatArray) -> float:
     return float(np.sum(volumes + entropy))
 
 
+def one_visit(controller: Controller) -> Counts:
+    """Counts as from one visit of every entry, shared out as the controller's rows are."""
+    return Counts(
+        controller.n_nodes * controller.initial,
+        controller.n_actions * controller.action,
+        controller.n_nodes * controller.successor,
+    )
+
+
 class DirichletPrior:
     """Independent Dirichlet rows, (5.3) and (6.4); the posterior is prior + counts, (6.7).
 
@@ -39,12 +48,7 @@ class DirichletPrior:
 
     def around(self, controller: Controller) -> Posterior:
         """Prior parameters plus the controller's rows, as from one visit of every entry."""
-        visits = Counts(
-            controller.n_nodes * controller.initial,
-            controller.n_actions * controller.action,
-            controller.n_nodes * controller.successor,
-        )
-        return self.update(visits, None)
+        return self.update(one_visit(controller), None)
 
     def update(self, counts: Counts, old: Posterior | None) -> Posterior:
         """Return prior + counts; a row without evidence is its prior."""

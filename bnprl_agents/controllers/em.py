@@ -21,7 +21,15 @@ class BatchEMConfig(NestedEMConfig):
     keep: bool = False
     """Learn from all episodes so far by their importance ratios, as the source does, instead of
     the newest alone: the time grows with the square of their number, and so does the ratios'
-    variance with the distance to the first policies."""
+    variance with the distance to the first policies. Weights by return have no such ratios."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.keep and self.weighting != "reward":
+            raise ValueError(
+                f"weighting: {self.weighting!r}, must be 'reward' where keep is true: the episodes "
+                "kept are of older policies"
+            )
 
 
 class BatchEM(NestedEM):

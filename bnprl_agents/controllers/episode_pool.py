@@ -9,6 +9,7 @@ import numpy as np
 from numba import njit
 
 from bnprl_agents.controllers.controller import Controller, restored_team
+from bnprl_agents.controllers.filtering import filter_node
 from bnprl_agents.controllers.messages import running_sum
 from bnprl_agents.episodes import EpisodeBatch, FloatArray, restored_episodes
 from bnprl_agents.policy_files import Arrays, taken
@@ -42,7 +43,8 @@ class EpisodePool:
     SIGGRAPH 1995; for policies, Peshkin and Shelton, Learning from scarce experience, ICML 2002.
 
     Episodes whose recorded probabilities are not those of the behaviour that is said to have
-    collected them, a given data set say, keep what was recorded.
+    collected them keep what was recorded: a given data set, or episodes of stepped copies that
+    were under way when the policy changed.
 
     Attributes:
         episodes: K of them, with the mixture's conditional probabilities as their behaviour, in
@@ -61,17 +63,20 @@ class EpisodePool:
         old = self.episodes
         joined = fresh if old is None else EpisodeBatch.concatenate([old, fresh])
         log_fresh = running_sum(fresh.offsets, np.log(fresh.behaviour).sum(axis=1))
-        own = np.abs(log_fresh - log_probability(fresh, behaviour)).max() < TOLERANCE
-        if own:
+        off = np.abs(log_fresh - log_probability(fresh, behaviour))
+        own = np.maximum.reduceat(off, fresh.offsets[:-1]) < TOLERANCE
+        mixed = np.repeat(own, fresh.lengths)
+        if own.any():
+            behaviour = behaviour._replace(episodes=int(own.sum()))
             if old is not None:
                 seen = np.log(behaviour.episodes) + log_probability(old, behaviour)
                 mixture = np.logaddexp(self._log_mixture, seen)
                 self._log_mixture = np.where(self._mixed, mixture, self._log_mixture)
             self.behaviours.append(behaviour)
             every = [np.log(b.episodes) + log_probability(fresh, b) for b in self.behaviours]
-            log_fresh = np.logaddexp.reduce(every)
+            log_fresh = np.where(mixed, np.logaddexp.reduce(every), log_fresh)
         self._log_mixture = np.append(self._log_mixture, log_fresh)
-        self._mixed = np.append(self._mixed, np.full(fresh.n_steps, own))
+        self._mixed = np.append(self._mixed, mixed)
         first = joined.offsets[:-1]
         log_b = np.diff(self._log_mixture, prepend=0.0)
         log_total = np.log(max(1, sum(b.episodes for b in self.behaviours)))
@@ -142,21 +147,14 @@ def log_probability(episodes: EpisodeBatch, behaviour: Behaviour) -> FloatArray:
 def _log_probability(offsets, observations, actions, initial, action, successor, explore):  # type: ignore[no-untyped-def]
     n_nodes, n_actions = action.shape
     found = np.empty(observations.size)
-    node, ahead = np.empty(n_nodes), np.empty(n_nodes)
+    node, work = np.empty(n_nodes), np.empty(n_nodes)
     for k in range(offsets.size - 1):
         so_far = 0.0
         node[:] = initial[observations[offsets[k]]]
         for t in range(offsets[k], offsets[k + 1]):
             if t > offsets[k]:
                 move = successor[actions[t - 1], observations[t]]
-                ahead[:] = 0.0
-                for i in range(n_nodes):
-                    ahead += node[i] * action[i, actions[t - 1]] * move[i]
-                total = ahead.sum()
-                if total > 0.0:
-                    node[:] = ahead / total
-                else:
-                    node[:] = 1.0 / n_nodes
+                filter_node(node, action[:, actions[t - 1]], move, work)
             exploring = (node * explore).sum()
             exploit = (node * action[:, actions[t]]).sum()
             so_far += np.log((1.0 - exploring) * exploit + exploring / n_actions)

@@ -30,9 +30,10 @@ def exploration_suffices(
 ) -> bool:
     """Whether exploring less than this changes the value by less than `tolerance`; Theorem 12.
 
-    The threshold on the team's probability of exploring is (1 - gamma) tolerance / R_max.
+    The threshold on the team's probability of exploring is (1 - gamma) tolerance / R_max. Where
+    nothing has been earned, R_max is not known yet, and nothing suffices.
     """
-    return exploring * largest_reward < (1.0 - discount) * tolerance
+    return largest_reward > 0.0 and exploring * largest_reward < (1.0 - discount) * tolerance
 
 
 def team_exploring(exploring: FloatArray) -> FloatArray:

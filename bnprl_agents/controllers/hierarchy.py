@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bnprl_agents.controllers.controller import Controller, normalised
-from bnprl_agents.controllers.dirichlet import dirichlet_divergence, geometric_mean
+from bnprl_agents.controllers.dirichlet import dirichlet_divergence, geometric_mean, one_visit
 from bnprl_agents.controllers.hdp import (
     GammaPrior,
     sample_row_concentration,
@@ -21,9 +21,10 @@ from bnprl_agents.episodes import BoolArray, FloatArray, IntArray
 from bnprl_agents.policy_files import Arrays, taken
 
 ROW_PRIOR: GammaPrior = (10.0, 10.0)
-"""Of alpha, section 5.5, read as shape and rate."""
+"""Of alpha; shape and rate, as the sampler's source uses such pairs. Section 5.5 calls them "scale"
+and "shape", with which the mean would be 100, not 1, and rows would long stay close to beta."""
 TOP_PRIOR: GammaPrior = (3.0, 10.0)
-"""Of lambda."""
+"""Of lambda; likewise, with mean .3, not 30."""
 SMALLEST = 1e-12
 """Weight of a node at least."""
 
@@ -157,12 +158,7 @@ class HierarchicalPrior:
 
     def around(self, controller: Controller) -> Posterior:
         """The prior plus the controller's rows, as from one visit of every entry."""
-        visits = Counts(
-            controller.n_nodes * controller.initial,
-            controller.n_actions * controller.action,
-            controller.n_nodes * controller.successor,
-        )
-        return self.update(visits, None)
+        return self.update(one_visit(controller), None)
 
     def update(self, counts: Counts, old: Posterior | None) -> Posterior:
         """Return prior + counts; what the counts hold in places without a node is left out."""

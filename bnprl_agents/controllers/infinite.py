@@ -77,6 +77,9 @@ class InfiniteRPR(BayesianEM):
     Config = InfiniteRPRConfig
     config: InfiniteRPRConfig
     priors: tuple[HierarchicalPrior, ...]
+    preferred_copies = 1
+    """Of several copies some would be under way when the policy changes, and the pool could not
+    weigh their episodes against its mixture."""
 
     def __init__(
         self,
@@ -172,6 +175,7 @@ class InfiniteRPR(BayesianEM):
         for prior, counts in zip(self.priors, drawn, strict=True):
             visits = counts.action.sum(axis=1)
             occupied = visits > self.config.node_share * visits.sum()
+            occupied[visits.argmax()] = True
             prior.hierarchy = resampled(prior.hierarchy, scaled(counts, scale), occupied, self.rng)
         held = [prior.hierarchy.occupied.astype(np.float64) for prior in self.priors]
         self.statistics = tuple(only(c, nodes) for c, nodes in zip(soft, held, strict=True))

@@ -12,12 +12,13 @@ from bnprl_agents.controllers.variational import BayesianConfig
 
 @dataclass(frozen=True)
 class InfiniteRPRConfig(BayesianConfig):
-    """Settings of `InfiniteRPR`. Silent or ambiguous in the source, and chosen here.
+    """Settings of `InfiniteRPR`. Silent in the source, or other than printed, and chosen here.
 
-    alpha ~ Ga(10, 10) and lambda ~ Ga(3, 10) are read as shape and rate. An episode's occupancy is
-    one path, up to a reward drawn in proportion to nu_t, with all of the episode's nu. The special
-    state enters the E-step with its expected weight. Old episodes are weighed against the mixture
-    of all policies so far, not against the one that collected them.
+    alpha ~ Ga(10, 10) and lambda ~ Ga(3, 10) are read as shape and rate, where section 5.5 has
+    scale and shape; see `hierarchy.ROW_PRIOR`. An episode's occupancy is one path, up to a reward
+    drawn in proportion to nu_t, with all of the episode's nu. The special state enters the E-step
+    with its expected weight. Old episodes are weighed against the mixture of all policies so far,
+    not against the one that collected them.
     """
 
     nodes: int = 30
@@ -49,10 +50,16 @@ class InfiniteRPRConfig(BayesianConfig):
     """batch: all episodes so far are kept and swept over, as in the source. online: running means
     of the statistics, and only the newest episodes are kept (the dissertation's future work)."""
     node_share: float = 0.0002
-    """A node is occupied where its part of the sampled, reward-weighted visits exceeds this."""
+    """A node is occupied where its part of the sampled, reward-weighted visits exceeds this; the
+    most visited one always is."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.schedule == "batch" and self.weighting != "reward":
+            raise ValueError(
+                f"weighting: {self.weighting!r}, must be 'reward' with the batch schedule, whose "
+                "episodes are of older policies, too"
+            )
         if not 1 <= self.initial_nodes < self.nodes:
             raise ValueError(
                 f"initial_nodes: {self.initial_nodes}, must lie in [1, nodes - 1], nodes is "

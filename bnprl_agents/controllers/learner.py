@@ -13,6 +13,7 @@ from bnprl_agents.controllers.controller import (
     restored_team,
 )
 from bnprl_agents.controllers.exploration import exploring_probability, team_exploring
+from bnprl_agents.controllers.filtering import mean_before_acting
 from bnprl_agents.controllers.messages import Messages
 from bnprl_agents.controllers.rollout import check_fit, rollout
 from bnprl_agents.episodes import EpisodeBatch, FloatArray, IntArray
@@ -163,9 +164,14 @@ class ControllerAgent(HistoryAgent):
             for occupancy in occupancies
         )
 
-    def exploring_share(self, messages: Sequence[Messages]) -> float:
-        """Mean probability that the team explores at a step of the episodes just filtered."""
-        each = [m.alpha @ explore for m, explore in zip(messages, self.explore, strict=True)]
+    def exploring_share(self, episodes: EpisodeBatch, messages: Sequence[Messages]) -> float:
+        """Mean probability, given the history, that the team explores at a step; (6.17)."""
+        each = [
+            mean_before_acting(episodes, n, controller, message, explore)
+            for n, (controller, message, explore) in enumerate(
+                zip(self.controllers, messages, self.explore, strict=True)
+            )
+        ]
         return float(team_exploring(np.stack(each, axis=1)).mean())
 
     def state_arrays(self) -> Arrays:
@@ -191,6 +197,17 @@ class ControllerAgent(HistoryAgent):
         for n, controller in enumerate(self.controllers):
             if controller.n_nodes != nodes:
                 raise ValueError(f"action_{n}: {controller.n_nodes} nodes, must be {nodes}")
+
+
+def check_shift(shift: float) -> None:
+    """Check a setting reward_shift.
+
+    Raises:
+        ValueError: it is negative, with which a terminal state would earn negative rewards for
+            ever, or not finite.
+    """
+    if not 0.0 <= shift < np.inf:
+        raise ValueError(f"reward_shift: {shift}, must be finite, not negative")
 
 
 def shifted(episodes: EpisodeBatch, shift: float, discount: float) -> EpisodeBatch:

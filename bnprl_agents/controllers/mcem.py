@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from bnprl_agents.agent import Metrics
-from bnprl_agents.controllers.learner import ControllerAgent, shifted
+from bnprl_agents.controllers.learner import ControllerAgent, check_shift, shifted
 from bnprl_agents.controllers.messages import forward
 from bnprl_agents.controllers.paths import path_counts, sample_paths
 from bnprl_agents.controllers.priors import maximise
@@ -48,8 +48,7 @@ class MonteCarloEMConfig(Settings):
             )
         if not 0.0 <= self.confidence < np.inf:
             raise ValueError(f"confidence: {self.confidence}, must not be negative")
-        if not np.isfinite(self.reward_shift):
-            raise ValueError(f"reward_shift: {self.reward_shift}, must be finite")
+        check_shift(self.reward_shift)
 
 
 class MonteCarloEM(ControllerAgent):
@@ -87,11 +86,16 @@ class MonteCarloEM(ControllerAgent):
         return self.config.batch_episodes
 
     def learn(self, episodes: EpisodeBatch) -> Metrics:
-        """Run one iteration of Monte-Carlo EM."""
+        """Run one iteration of Monte-Carlo EM.
+
+        Raises:
+            NegativeRewardError: a shifted reward is negative.
+        """
+        self.check_reward(float(episodes.rewards.min()))
         data = shifted(episodes, self.config.reward_shift, self.discount)
         weights = rewards_from(data, self.discount)
         messages = [forward(data, n, controller) for n, controller in enumerate(self.controllers)]
-        exploring = self.exploring_share(messages)
+        exploring = self.exploring_share(data, messages)
         improved, visits = [], []
         for n, (controller, message) in enumerate(zip(self.controllers, messages, strict=True)):
             last = last_possible(data, message.likelihood)
@@ -123,11 +127,11 @@ class MonteCarloEM(ControllerAgent):
 
 
 def rewards_from(episodes: EpisodeBatch, discount: float) -> FloatArray:
-    """sum_{t' >= t} gamma^t' r_t', (S,): what a visit at t counts."""
+    """sum_{t' >= t} gamma^t' r_t', (S,): what a visit at t counts; rewards are not negative."""
     earned = episodes.rewards * discount ** episodes.steps_into_episode()
     ahead = np.cumsum(earned)
     whole = np.repeat(ahead[episodes.offsets[1:] - 1], episodes.lengths)
-    following: FloatArray = np.maximum(whole - ahead + earned, 0.0)
+    following: FloatArray = np.maximum(whole - ahead + earned, 0.0)  # rounding may fall below 0
     return following
 
 

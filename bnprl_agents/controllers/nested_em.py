@@ -10,7 +10,7 @@ import numpy as np
 
 from bnprl_agents.agent import Metrics
 from bnprl_agents.controllers.controller import Controller
-from bnprl_agents.controllers.learner import ControllerAgent, shifted
+from bnprl_agents.controllers.learner import ControllerAgent, check_shift, shifted
 from bnprl_agents.controllers.messages import Counts, Messages, backward, forward
 from bnprl_agents.controllers.priors import (
     MaximumLikelihood,
@@ -117,8 +117,7 @@ def check_settings(config: NestedEMConfig) -> None:
     for name in ("successor_concentration", "exploration_prior", "temperature"):
         if not 0.0 < getattr(config, name) < np.inf:
             raise ValueError(f"{name}: {getattr(config, name)}, must be positive and finite")
-    if not np.isfinite(config.reward_shift):
-        raise ValueError(f"reward_shift: {config.reward_shift}, must be finite")
+    check_shift(config.reward_shift)
     if config.weighting not in ("reward", "return", "linear"):
         raise ValueError(f"weighting: {config.weighting!r}, must be 'reward', 'return' or 'linear'")
     if config.weighting != "reward" and config.batch_episodes < 2:
@@ -218,7 +217,7 @@ class NestedEM(ControllerAgent):
         messages = [forward(data, n, controller) for n, controller in enumerate(self.controllers)]
         metrics = {
             "return_mean": float(episodes.returns(self.discount).mean()),
-            "exploring": self.exploring_share(messages),
+            "exploring": self.exploring_share(data, messages),
         }
         if self.config.weighting == "reward":
             metrics["value"] = exponential(self.weigh(data, messages).log_value)
@@ -244,7 +243,8 @@ class NestedEM(ControllerAgent):
 
         Returns:
             The lower bound (6.2), as it stood before the last M-step, times the evidence's scale;
-            or that the batch changed nothing, since it held no reward.
+            no bound where it is minus infinity, since an episode that counts holds an action that
+            the controllers cannot take; or that the batch changed nothing, since it held no reward.
         """
         saved, rate, scale = (self.statistics, self.learning_rate(data), self.evidence_scale(data))
         for outer in range(self.config.outer_iterations):
@@ -268,7 +268,8 @@ class NestedEM(ControllerAgent):
             self.adopt(posteriors)
         self.statistics = tuple(blend(s, c, share) for s, c in zip(saved, counts, strict=True))
         self.log_value = log_value
-        return {"bound": bound, "learning_rate": rate}
+        bounded = {"bound": bound} if np.isfinite(bound) else {}
+        return bounded | {"learning_rate": rate}
 
     def _blending_step(self, saved: tuple[Counts, ...], share: float, scale: float) -> MStep:
         """An M-step on the saved statistics with the batch's share blended in."""

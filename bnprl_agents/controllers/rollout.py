@@ -89,7 +89,7 @@ def rollout(
 ) -> EpisodeBatch:
     """Sample whole episodes; an episode ends in a terminal state or after `horizon` steps.
 
-    Acting filters the node distribution, sections 2.42-2.43, and mixes in uniform actions with
+    Acting filters the node distribution, (2.43) and (2.44), and mixes in uniform actions with
     probability sum_z p(z | h) explore[z], (2.46); the probabilities used are recorded.
 
     Args:

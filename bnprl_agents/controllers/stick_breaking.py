@@ -26,6 +26,9 @@ from bnprl_agents.controllers.variational import BayesianConfig, BayesianEM
 from bnprl_agents.episodes import EpisodeBatch, FloatArray
 from bnprl_agents.policy_files import Arrays, number
 
+LARGEST_UNMET = 1e15
+"""Divergence of rows without evidence next to which a nat can still be told."""
+
 
 @dataclass(frozen=True)
 class StickBreakingConfig(BayesianConfig):
@@ -71,7 +74,8 @@ class StickBreakingConfig(BayesianConfig):
     initial_episodes: int = 10
     """How many of the best episodes the initialisation keeps."""
     starts: int = 1
-    """How often to begin anew; the start whose newest episodes earned most goes on. Ours."""
+    """How often to begin anew; the start whose newest episodes earned most goes on, also where the
+    budget ends before the last start does. Ours."""
     start_updates: int = 20
     """Updates of each start where there are several."""
     node_share: float = 0.01
@@ -167,7 +171,7 @@ class StickBreaking(BayesianEM):
 
         Also returns the agents' mean node count and `bound_met`, the lower bound without the
         divergence of rows that never had evidence: they begin far from the prior, and would drown
-        the rest.
+        the rest. It is left out where rounding would drown it (`LARGEST_UNMET`).
         """
         starting, update = divmod(self.updates, self.config.start_updates)
         first = update == 0 and starting < self.config.starts
@@ -182,7 +186,7 @@ class StickBreaking(BayesianEM):
             for prior, posterior in zip(self.priors, self.posteriors, strict=True)
         )
         metrics = super().learn(episodes)
-        if "bound" in metrics:
+        if "bound" in metrics and unmet < LARGEST_UNMET:
             metrics["bound_met"] = metrics["bound"] + unmet
         used = [node_count(counts, self.config.node_share) for counts in self.statistics]
         earned = metrics["return_mean"]
@@ -196,12 +200,24 @@ class StickBreaking(BayesianEM):
         if self.best is None or self.earned > self.best.earned:
             evidence = (self.posteriors, self.statistics)
             self.best = Start(self.earned, self.log_value, self.explore, *evidence)
-        if not last:
+        if last:
+            self._go_on_with(self.best)
+            self.best = None
+        else:
             self.begin_anew(self.initial_controllers())
-            return
-        self.adopt(self.best.posteriors)
-        self.statistics, self.explore = self.best.statistics, self.best.explore
-        self.log_value, self.best = self.best.log_value, None
+
+    def _go_on_with(self, start: Start) -> None:
+        self.adopt(start.posteriors)
+        self.statistics, self.explore = start.statistics, start.explore
+        self.log_value, self.earned = start.log_value, start.earned
+
+    def finish(self) -> Metrics:
+        """Learn as all do; then go on with the best start, unless the one under way earns more."""
+        metrics = super().finish()
+        under_way = self.updates % self.config.start_updates > 0
+        if self.best is not None and not (under_way and self.earned > self.best.earned):
+            self._go_on_with(self.best)
+        return metrics
 
     def state_arrays(self) -> Arrays:
         """The learner's state and the best start so far."""

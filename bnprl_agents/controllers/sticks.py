@@ -34,9 +34,14 @@ def tails(rows: FloatArray) -> FloatArray:
     return np.cumsum(rows[..., :0:-1], axis=-1)[..., ::-1]
 
 
+LEAST_VISITS = 1e-100
+"""Of a stick's two sides: a divergence from what has a side of 0 is infinite."""
+
+
 def sticks_around(rows: FloatArray, visits: float, shape: float) -> Sticks:
     """Sticks whose mean is given rows, as from so many visits, with E Sigma = 1."""
-    first, second = visits * rows[..., :-1], visits * tails(rows)
+    first = np.maximum(visits * rows[..., :-1], LEAST_VISITS)
+    second = np.maximum(visits * tails(rows), LEAST_VISITS)
     return Sticks(first, second, np.full(first.shape, shape + 1.0))
 
 

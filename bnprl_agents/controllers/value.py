@@ -17,7 +17,8 @@ from bnprl_agents.episodes import FloatArray, IntArray
 from bnprl_envs.model import TabularModel
 
 TOLERANCE = 1e-10
-"""Relative residual of the linear system; the value's error is below it over 1 - discount."""
+"""Relative residual of the linear system. The error of V at any state and nodes, the largest, is
+below this times the 2-norm of the rewards r(s, z), over 1 - discount."""
 
 
 def controller_value(
@@ -27,7 +28,7 @@ def controller_value(
 
     V(s, z) = sum_a pi(z, a) [r(s, a) + gamma sum_{s', o, z'} T O W V(s', z')], where z holds one
     node an agent; solved by GMRES without forming the matrix, so that it costs
-    O(A O S Z^2) an iteration and O(S prod Z) memory.
+    O(A O S Z^2) an iteration and O(E prod Z) memory, E the possible pairs (s', o) of an action.
 
     Args:
         model: the true model of N agents.

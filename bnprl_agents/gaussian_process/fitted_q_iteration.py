@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Literal, NamedTuple
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from bnprl_agents.episodes import BoolArray, FloatArray, IntArray
 from bnprl_agents.gaussian_process.kernels import RadialKernel
@@ -64,6 +64,9 @@ class FittedProcess:
         points: (N, D) states.
         actions: (N,).
         regularization: omega^2, or "auto".
+
+    Raises:
+        ValueError: omega^2 is too small for tuples that repeat, or nearly.
     """
 
     def __init__(
@@ -78,7 +81,13 @@ class FittedProcess:
         self.regularization = (
             sufficient_regularization(gram) if regularization == "auto" else regularization
         )
-        self._factor = cho_factor(gram + self.regularization * np.eye(len(actions)))
+        try:
+            self._factor = cho_factor(gram + self.regularization * np.eye(len(actions)))
+        except LinAlgError as error:
+            raise ValueError(
+                f"regularization: {self.regularization:g}, too small for tuples that repeat, whose "
+                f"kernel matrix is singular; {LEAST_NOISE:g} of the amplitude would do, or 'auto'"
+            ) from error
 
     def weights(self, targets: FloatArray) -> FloatArray:
         """Return (K + omega^2 I)^-1 y, (N,)."""

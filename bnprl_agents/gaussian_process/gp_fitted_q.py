@@ -87,9 +87,9 @@ class GPFittedQConfig(Settings):
 class GPFittedQ(ValueAgent):
     """Fitted Q-iteration with an exact Gaussian process on all tuples seen.
 
-    Every `fit_every` transitions all tuples are fitted anew. If the sweeps diverge, which a small
-    regularization allows, the fit is given up, the values of the last good fit stay, and the
-    metric `diverged` is 1.
+    Every `fit_every` transitions, and at the end of a budget, all tuples are fitted anew. If the
+    sweeps diverge, which a small regularization allows, the fit is given up, the values of the last
+    good fit stay, and the metric `diverged` is 1.
 
     Paper: dissertation, section 3.4.1, Algorithm 1 with its misprint corrected (the new process is
     trained, then replaces the old one).
@@ -143,11 +143,19 @@ class GPFittedQ(ValueAgent):
         self._since_fit += len(transitions.actions)
         if self._since_fit < self.config.fit_every:
             return {}
-        self._since_fit = 0
         return self.fit()
 
+    def finish(self) -> Metrics:
+        """Fit what came after the last fit; see `Agent.finish`."""
+        return self.fit() if self._since_fit else {}
+
     def fit(self) -> Metrics:
-        """Fit all tuples; report the sweeps, the regularization used and whether it diverged."""
+        """Fit all tuples; report the sweeps, the regularization used and whether it diverged.
+
+        Raises:
+            ValueError: the regularization is too small for tuples that repeat.
+        """
+        self._since_fit = 0
         points, actions, rewards, next_points, terminated = self.tuples
         process = FittedProcess(self.kernel, points, actions, self.config.regularization)
         fit = fitted_q_iteration(

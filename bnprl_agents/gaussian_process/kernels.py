@@ -1,4 +1,4 @@
-"""The radial kernel with a bandwidth for every dimension, and the exact Gaussian process."""
+"""The radial kernel with a bandwidth for every dimension."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from numba import njit
-from scipy.linalg import cho_factor, cho_solve
 
 from bnprl_agents.episodes import FloatArray
 
@@ -96,26 +95,3 @@ def gram(x, z, amplitude):  # type: ignore[no-untyped-def]
         for j in range(z.shape[0]):
             matrix[i, j] = radial(x[i], z[j], amplitude)
     return matrix
-
-
-def exact_posterior(
-    kernel: RadialKernel, noise: float, x: npt.ArrayLike, y: npt.ArrayLike, at: npt.ArrayLike
-) -> tuple[FloatArray, FloatArray]:
-    """Return mean (m,) and variance (m,) of the exact Gaussian process; (3.3), (3.4).
-
-    Args:
-        kernel: of the prior, whose mean is 0.
-        noise: variance of the measurements, positive.
-        x: (n, D) where it was measured.
-        y: (n,) what was measured.
-        at: (m, D) where to predict.
-
-    Raises:
-        ValueError: the noise is not positive.
-    """
-    check_positive("noise", noise)
-    factor = cho_factor(kernel(x, x) + noise * np.eye(len(np.asarray(x))))
-    cross = kernel(at, x)
-    mean: FloatArray = cross @ cho_solve(factor, np.asarray(y, dtype=np.float64))
-    explained = np.einsum("ij,ji->i", cross, cho_solve(factor, cross.T))
-    return mean, kernel.amplitude - explained

@@ -228,6 +228,15 @@ def test_likelihood_alone_rises_on_fixed_data():
     assert np.mean(found[-3:]) > np.mean(found[:3]) + 0.05
 
 
+def test_without_predictions_there_is_no_likelihood_to_report():
+    model = random_model(
+        np.random.default_rng(1), action_sizes=(ACTIONS,), observation_sizes=(OBSERVATIONS - 1,)
+    )
+    agent = small(prediction=0.0)
+    batch = agent.sample(model, episodes=9, horizon=7, rng=np.random.default_rng(0))
+    assert agent.learn(batch).keys() == {"return_mean", "advantage_scale"}
+
+
 def test_bad_input_is_refused():
     for settings in (
         {"states": 0},

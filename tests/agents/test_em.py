@@ -4,8 +4,10 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
+from bnprl_agents.controllers.controller import Controller
 from bnprl_agents.controllers.em import BatchEM, BatchEMConfig
 from bnprl_agents.controllers.exploration import exploration_suffices, exploring_probability
+from bnprl_agents.controllers.filtering import mean_before_acting
 from bnprl_agents.controllers.infinite import InfiniteRPR
 from bnprl_agents.controllers.learner import shifted
 from bnprl_agents.controllers.messages import forward, reward_shares, soft_counts
@@ -71,10 +73,44 @@ def test_exploration_follows_the_beta_distribution():
     assert drawn[:, 1].mean() == pytest.approx(2.0 / 8.0, abs=0.01)
 
 
+def test_the_share_that_explores_is_that_of_the_behaviour():
+    two_nodes = Controller(
+        np.full((4, 2), 0.5), np.array([[1.0, 0.0], [0.5, 0.5]]), np.ones((2, 4, 2, 2)) / 2
+    )
+    agent = BatchEM(*SPACES, BatchEMConfig(nodes=2), discount=0.9, seed=0)
+    episodes = random_episodes(np.random.default_rng(3), (1,) * 8, (2,), (4,))
+    for team, explore, share in ((two_nodes, [0.2, 0.8], 0.5), (blind(0), [1.0], 1.0)):
+        agent.begin_at([team])
+        agent.explore = (np.array(explore),)
+        messages = [forward(episodes, 0, team)]
+        assert agent.exploring_share(episodes, messages) == pytest.approx(share)
+
+
+def test_compiled_and_acting_filter_agree():
+    rng = np.random.default_rng(4)
+    episodes = random_episodes(rng, (6, 5), (2,), (4,))
+    free, never = random_team(rng, (3, 3), (2, 2), (4, 4))
+    never = Controller(never.initial, np.eye(2)[[0, 0, 0]], never.successor)
+    assert (episodes.actions[:4, 0] == 1).any(), "the case has actions that cannot be taken"
+    quantity, wanted = rng.random(3), []
+    for controller in (free, never):
+        for one in (episodes.between(0, 1), episodes.between(1, 2)):
+            belief = controller.begin(one.observations[:1, 0])
+            wanted.append(belief @ quantity)
+            for action, seen in zip(one.actions[:-1, 0], one.observations[1:, 0], strict=True):
+                belief = controller.advance(belief, np.array([action]), np.array([seen]))
+                wanted.append(belief @ quantity)
+    found = [
+        mean_before_acting(episodes, 0, c, forward(episodes, 0, c), quantity) for c in (free, never)
+    ]
+    np.testing.assert_allclose(np.concatenate(found), np.concatenate(wanted))
+
+
 def test_stopping_rule():
     # threshold (1 - .9) * .5 / 2 = .025
     assert exploration_suffices(0.024, 0.9, 0.5, 2.0)
     assert not exploration_suffices(0.026, 0.9, 0.5, 2.0)
+    assert not exploration_suffices(1.0, 0.9, 0.5, 0.0)
 
 
 def test_shift_leaves_the_differences_between_policies_alone():
@@ -205,6 +241,24 @@ def test_online_stops_when_exploring_is_negligible():
     assert agent.controllers is policy
 
 
+def test_online_does_not_stop_where_nothing_has_been_earned():
+    rng = np.random.default_rng(6)
+    agent = OnlineEM(*SPACES, OnlineEMConfig(nodes=2, tolerance=0.1), discount=0.9, seed=0)
+    for earned in (0.0, 0.0, 1.0):
+        episodes = random_episodes(rng, (3, 4), (2,), (4,))
+        episodes.rewards[:] *= earned
+        assert "stopped" not in agent.learn(episodes)
+    assert agent.value > 0.0
+
+
+def test_no_bound_is_reported_where_it_is_infinite():
+    agent = BatchEM(*SPACES, BatchEMConfig(nodes=1, weighting="return"), discount=0.9, seed=0)
+    agent.begin_at([blind(0)])
+    metrics = agent.learn(random_episodes(np.random.default_rng(6), (3, 4), (2,), (4,)))
+    assert "bound" not in metrics
+    assert np.isfinite(list(metrics.values())).all()
+
+
 def test_fixed_behaviour_stays_uniform():
     rng = np.random.default_rng(7)
     agent = OnlineEM(*SPACES, OnlineEMConfig(nodes=2, behaviour="uniform"), discount=0.9, seed=0)
@@ -222,6 +276,8 @@ def test_fixed_behaviour_stays_uniform():
         (OnlineEMConfig, {"tolerance": -1.0}, "tolerance"),
         (BatchEMConfig, {"exploration_prior": 0.0}, "exploration_prior"),
         (BatchEMConfig, {"reward_shift": np.inf}, "reward_shift"),
+        (BatchEMConfig, {"reward_shift": -1.0}, "reward_shift: -1.0, must be"),
+        (BatchEMConfig, {"keep": True, "weighting": "linear"}, "weighting: 'linear', must be"),
     ],
 )
 def test_settings_out_of_range(config, settings, message):

@@ -67,7 +67,7 @@ def test_theorem_4_by_hand():
     assert sufficient_regularization(gram) == pytest.approx(2 * (3.5 - 2.0))
 
 
-def three_nodes_agent(**settings):
+def three_nodes_agent(steps=100, **settings):
     config = GPFittedQConfig(
         bandwidth=(1.0,),
         inputs="joint",
@@ -82,7 +82,7 @@ def three_nodes_agent(**settings):
     agent = GPFittedQ(
         env.single_observation_space, env.single_action_space, config, discount=0.9999, seed=0
     )
-    metrics = [p.metrics for p in train(agent, env, seed=0, steps=100) if p.metrics]
+    metrics = [p.metrics for p in train(agent, env, seed=0, steps=steps) if p.metrics]
     return agent, metrics
 
 
@@ -96,6 +96,18 @@ def test_auto_learns_on_three_nodes():
     agent, metrics = three_nodes_agent()
     assert metrics[-1]["diverged"] == 0.0
     assert np.abs(agent.action_values(np.arange(3))).max() < 0.5
+
+
+def test_the_last_transitions_are_fitted_when_the_budget_ends():
+    agent, metrics = three_nodes_agent(steps=20)
+    assert len(metrics) == 1
+    assert (agent.action_values(np.arange(3)) != 1.0).any()
+    assert agent.finish() == {}  # nothing is pending
+
+
+def test_too_small_a_regularization_is_refused_where_tuples_repeat():
+    with pytest.raises(ValueError, match="regularization: 1e-17, too small for tuples that repeat"):
+        three_nodes_agent(regularization=1e-17)
 
 
 def test_it_learns_gridworld():

@@ -25,6 +25,7 @@ from bnprl_agents.controllers.hierarchy import (
 )
 from bnprl_agents.controllers.infinite import InfiniteRPR
 from bnprl_agents.controllers.infinite_settings import InfiniteRPRConfig
+from bnprl_agents.controllers.learner import NegativeRewardError
 from bnprl_agents.controllers.mcem import (
     MonteCarloEM,
     MonteCarloEMConfig,
@@ -37,6 +38,8 @@ from bnprl_agents.controllers.paths import path_counts, reward_steps, sample_pat
 from bnprl_agents.controllers.rollout import rollout
 from bnprl_agents.controllers.value import controller_value
 from bnprl_agents.controllers.weighting import by_reward
+from bnprl_agents.training import Budget, step_copies
+from bnprl_envs.tabular_vector import TabularVectorEnv
 from tests.agents.cases import copying_model, random_episodes, random_team
 
 DISCOUNT = 0.9
@@ -236,6 +239,34 @@ def test_a_pool_weighs_against_the_mixture_of_what_collected_it():
     np.testing.assert_array_equal(pool.episodes.behaviour, again.episodes.behaviour)
 
 
+def test_a_pool_weighs_each_episode_against_the_mixture_or_as_recorded():
+    model, rng = copying_model(), np.random.default_rng(9)
+    team, explore = random_team(rng, (3,), (2,), (3,)), (rng.random(3),)
+    own = rollout(model, team, episodes=3, horizon=4, rng=rng, explore=explore)
+    recorded = own.behaviour.copy()
+    recorded[:4] = 0.9  # the first episode began under another policy
+    pool = EpisodePool()
+    pool.add(replace(own, behaviour=recorded), Behaviour(team, explore, 3))
+    assert [b.episodes for b in pool.behaviours] == [2]
+    np.testing.assert_allclose(pool.episodes.behaviour, recorded, rtol=1e-5)
+
+
+def test_episodes_of_its_preferred_copies_are_weighed_against_the_mixture():
+    agent = learner(batch_episodes=4, outer_iterations=1, divisions=0)
+    env = TabularVectorEnv(
+        copying_model(), agent.preferred_copies, max_episode_steps=5, autoreset_mode="Disabled"
+    )
+    list(step_copies(agent, env, Budget(episodes=12), seed=0))
+    assert [b.episodes for b in agent.pool.behaviours] == [4, 4, 4]
+
+
+def test_some_node_is_kept_where_none_has_its_share():
+    agent = learner(node_share=0.9, outer_iterations=1)
+    episodes = random_episodes(np.random.default_rng(6), (3,) * 30, (2,), (3,))
+    for _ in range(2):
+        assert agent.learn(episodes)["nodes"] >= 1.0
+
+
 def test_a_division_keeps_the_counts_and_the_weights():
     rng = np.random.default_rng(10)
     hierarchy = first_hierarchy(room=4, nodes=2)
@@ -303,16 +334,26 @@ def test_monte_carlo_em_approaches_em_on_many_episodes():
         )
 
 
+def test_monte_carlo_em_refuses_negative_rewards():
+    episodes = random_episodes(np.random.default_rng(8), (3, 2), (2,), (3,))
+    episodes.rewards[1] = -2.0
+    agent = MonteCarloEM(*COPYING, MonteCarloEMConfig(nodes=2), discount=DISCOUNT, seed=0)
+    with pytest.raises(NegativeRewardError, match="reward_shift=2 would do"):
+        agent.learn(episodes)
+
+
 @pytest.mark.parametrize(
     ("config", "settings", "message"),
     [
         (InfiniteRPRConfig, {"initial_nodes": 30}, "initial_nodes: 30, must lie in"),
         (InfiniteRPRConfig, {"node_share": 1.0}, "node_share"),
         (InfiniteRPRConfig, {"schedule": "never"}, "schedule"),
+        (InfiniteRPRConfig, {"weighting": "return"}, "weighting: 'return', must be"),
         (MonteCarloEMConfig, {"nodes": 0}, "nodes: 0"),
         (MonteCarloEMConfig, {"confidence": -1.0}, "confidence"),
         (MonteCarloEMConfig, {"successor_concentration": 0.0}, "successor_concentration"),
         (MonteCarloEMConfig, {"reward_shift": np.nan}, "reward_shift"),
+        (MonteCarloEMConfig, {"reward_shift": -1.0}, "reward_shift"),
     ],
 )
 def test_settings_out_of_range(config, settings, message):

@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import check_grad
 
-from bnprl_agents.gaussian_process.kernels import RadialKernel, exact_posterior
+from bnprl_agents.gaussian_process.kernels import RadialKernel
 from bnprl_agents.gaussian_process.marginal_likelihood import (
     log_marginal_likelihood,
     select_hyperparameters,
@@ -19,6 +20,14 @@ def learned(kernel, x, y, **settings):
     for point, target in zip(x, y, strict=True):
         gp.update(point, target)
     return gp
+
+
+def exact_posterior(kernel, noise, x, y, at):
+    """Mean and variance of the exact Gaussian process; (3.2), (3.3) less the noise's variance."""
+    factor = cho_factor(kernel(x, x) + noise * np.eye(len(x)))
+    cross = kernel(at, x)
+    explained = np.einsum("ij,ji->i", cross, cho_solve(factor, cross.T))
+    return cross @ cho_solve(factor, y), kernel.amplitude - explained
 
 
 def kernel_matrix(gp):

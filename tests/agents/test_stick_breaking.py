@@ -1,5 +1,7 @@
 """Stick-breaking priors: closed forms, the corrected updates, the bound, no collapse."""
 
+from dataclasses import replace
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -30,6 +32,8 @@ from bnprl_agents.controllers.sticks import (
 from bnprl_agents.controllers.value import controller_value
 from bnprl_agents.controllers.weighting import by_return
 from bnprl_agents.episodes import EpisodeBatch
+from bnprl_agents.training import train
+from bnprl_envs.tabular_vector import TabularVectorEnv
 from tests.agents.cases import copying_model, random_episodes, random_team
 
 DISCOUNT = 0.9
@@ -266,6 +270,36 @@ def test_the_best_of_several_starts_goes_on():
     assert ends[1].earned >= ends[0].earned
     assert (agent.posteriors is ends[1].posteriors) == (agent.earned <= ends[1].earned)
     assert agent.best is None
+
+
+@pytest.mark.parametrize("updates", [2, 3])
+def test_a_budget_that_ends_too_early_goes_on_with_the_best_start(updates):
+    model, rng = copying_model(), np.random.default_rng(13)
+    agent = learner(COPYING, starts=3, start_updates=2, initialisation="random")
+    for update in range(updates):
+        drawn = rollout(model, agent.controllers, episodes=50, horizon=10, rng=rng)
+        agent.learn(replace(drawn, rewards=drawn.rewards * (update < 2)))
+    best = agent.best
+    assert agent.posteriors is not best.posteriors
+    assert agent.finish() == {}
+    assert agent.posteriors is best.posteriors
+    assert agent.earned == best.earned
+
+
+def test_the_compiled_path_goes_on_with_the_best_start_too():
+    env = TabularVectorEnv(copying_model(), 1, max_episode_steps=10, autoreset_mode="Disabled")
+    agent = learner(COPYING, starts=2, start_updates=1, batch_episodes=20)
+    list(train(agent, env, seed=0, episodes=20))
+    assert agent.posteriors is agent.best.posteriors
+
+
+def test_rows_that_are_nearly_deterministic_have_finite_bounds():
+    agent = learner(nodes=6, successor_concentration=1e-3, initialisation="random")
+    episodes = random_episodes(np.random.default_rng(15), (3,) * 40, *SIZES)
+    for _ in range(2):
+        metrics = agent.learn(episodes)
+        assert "bound" in metrics
+        assert np.isfinite(list(metrics.values())).all()
 
 
 def test_starts_go_on_from_a_file(tmp_path):
