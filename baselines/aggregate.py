@@ -14,7 +14,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from baselines import web_page
-from baselines.curves import COLOURS, DARK, LIGHT, STYLES, Ground, dress
+from baselines.curves import COLOURS, DARK, LIGHT, STYLES, Ground, dress, plain
 from baselines.files import write_atomic
 from baselines.head_to_head import interquartile_mean, pairs, performance_profile
 from baselines.records import RecordError
@@ -178,7 +178,7 @@ def draw_profiles(scores: Scores, ground: Ground) -> bytes:
             profile,
             STYLES[index // 2 % len(STYLES)],
             color=COLOURS[index % len(COLOURS)],
-            label=name,
+            label=plain(name),
             linewidth=2,
         )
     axes.set(

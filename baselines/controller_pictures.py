@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, FancyArrowPatch, Patch
 
-from baselines.curves import COLOURS, LIGHT, dress, newest, thousands
+from baselines.curves import COLOURS, LIGHT, dress, newest, plain, thousands
 from baselines.records import Record
 from bnprl_agents.controllers.controller import Controller
 from bnprl_agents.controllers.messages import forward
@@ -105,7 +105,7 @@ def draw_controllers(
             part.subplots(1, len(curves), squeeze=False).ravel(), curves.items(), strict=True
         ):
             _draw_curve(axes, label, points)
-    figure.suptitle(title, color=LIGHT.ink, fontsize=13)
+    figure.suptitle(plain(title), color=LIGHT.ink, fontsize=13)
     picture = io.BytesIO()
     figure.savefig(picture, format="png", dpi=120, metadata={"Software": None})
     return picture.getvalue()
@@ -202,17 +202,21 @@ def _draw_move(
         )
     )
     where = (float(label[0]), float(label[1]))
-    axes.annotate(text, where, ha="center", va="center", fontsize=7, color=LIGHT.ink, zorder=5)
+    axes.annotate(
+        plain(text), where, ha="center", va="center", fontsize=7, color=LIGHT.ink, zorder=5
+    )
 
 
 def _dress_graph(axes: Axes, action_names: Sequence[str], observations: dict[str, str]) -> None:
     axes.set(xlim=(-1.55, 1.55), ylim=(-1.5, 1.5), aspect="equal")
     axes.axis("off")
     actions = [
-        Patch(color=COLOURS[a % len(COLOURS)], alpha=0.75, label=f"action {name}")
+        Patch(color=COLOURS[a % len(COLOURS)], alpha=0.75, label=plain(f"action {name}"))
         for a, name in enumerate(action_names)
     ]
-    moves = [Line2D([], [], color=c, lw=3, label=f"sees {o}") for o, c in observations.items()]
+    moves = [
+        Line2D([], [], color=c, lw=3, label=plain(f"sees {o}")) for o, c in observations.items()
+    ]
     axes.legend(
         handles=[*actions, *moves],
         fontsize=7.5,

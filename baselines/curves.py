@@ -67,7 +67,7 @@ def draw_curves(
     times = [run[-1].train_seconds for runs in curves.values() for run in runs]
     if times and max(times) > WIDE_RANGE * max(min(times), 1e-9):
         right.set(xscale="log", xlabel="seconds of training (logarithmic)")
-    figure.suptitle(experiment.environment.id, color=ink, fontsize=13)
+    figure.suptitle(plain(experiment.environment.id), color=ink, fontsize=13)
     handles, names = left.get_legend_handles_labels()
     if handles:
         figure.legend(
@@ -93,7 +93,7 @@ def _draw(
     experiment: Experiment,
 ) -> None:
     """Draw one contender: its curve and band, or a point where it was evaluated once."""
-    colour = COLOURS[index % len(COLOURS)]
+    colour, label = COLOURS[index % len(COLOURS)], plain(name)
     style, marker = STYLES[index // 2 % len(STYLES)], MARKERS[index % len(MARKERS)]
     seed = zlib.crc32(f"{experiment.root_seed} {name}".encode())
     runs = [newest(run) for run in runs]
@@ -102,14 +102,14 @@ def _draw(
     axes.fill_between(grid, low, high, color=colour, alpha=0.18, linewidth=0)
     if len(grid) == 1:
         error = [mean - low, high - mean]
-        axes.errorbar(grid, mean, error, color=colour, fmt=marker, label=name, capsize=4, ms=7)
+        axes.errorbar(grid, mean, error, color=colour, fmt=marker, label=label, capsize=4, ms=7)
         return
     axes.plot(
         grid,
         mean,
         style,
         color=colour,
-        label=name,
+        label=label,
         linewidth=2,
         marker=marker,
         markersize=6,
@@ -161,8 +161,13 @@ def _label_references(axes: Axes, references: Sequence[Mapping[str, Any]], ink: 
     height = -1.0
     for row in sorted(references, key=lambda row: float(row["mean"])):
         height = max((row["mean"] - bottom) / (top - bottom), height + LABEL_HEIGHT)
-        text = f" {row['agent']} {row['mean']:.3g}"
+        text = plain(f" {row['agent']} {row['mean']:.3g}")
         axes.annotate(text, (1.0, height), xycoords="axes fraction", va="center", color=ink, size=9)
+
+
+def plain(text: str) -> str:
+    """Return a text as Matplotlib draws it letter by letter, dollar signs included."""
+    return text.replace("$", r"\$")
 
 
 def dress(axes: Axes, ground: Ground) -> None:

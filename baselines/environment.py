@@ -39,10 +39,24 @@ class EnvironmentSpec:
             paths). "module:id" imports the module first, which registers the id.
         kwargs: constructor keywords (`resetting=True`). `max_episode_steps` and `discount` can
             be given for every environment and replace its own.
+
+    Raises:
+        ValueError: one of them is of another type, or the discount is out of range.
     """
 
     id: str
     kwargs: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.id, str):
+            raise ValueError(f"environment {self.id!r}: must be a name")
+        if not isinstance(self.kwargs, dict) or not all(
+            isinstance(key, str) for key in self.kwargs
+        ):
+            raise ValueError(f"{self.id}: kwargs must be an object of keywords")
+        given = self.kwargs.get("discount")
+        if given is not None and not (isinstance(given, int | float) and 0.0 < given <= 1.0):
+            raise ValueError(f"discount: {given!r}, must lie in (0, 1]")
 
     def make_vec(self, num_envs: int, autoreset_mode: str = "Disabled") -> AnyVectorEnv:
         """Make a batch of copies; of a team, arrays (num_envs, N) with `possible_agents`.
@@ -135,7 +149,7 @@ class EnvironmentSpec:
         """Factor of the returns, in (0, 1].
 
         Raises:
-            ValueError: there is no such environment, or the factor is out of range.
+            ValueError: there is no such environment.
             OSError: the model file cannot be read.
         """
         given = self.kwargs.get("discount")
@@ -144,8 +158,6 @@ class EnvironmentSpec:
             if model is not None:
                 return model.discount
             return FOREIGN_DISCOUNT if entry is None else entry.discount
-        if not 0.0 < given <= 1.0:
-            raise ValueError(f"discount: {given}, must lie in (0, 1]")
         return float(given)
 
     def _make_single(self, num_envs: int, autoreset_mode: str) -> AnyVectorEnv:

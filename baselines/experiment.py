@@ -7,6 +7,7 @@ import difflib
 import hashlib
 import json
 import zlib
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +24,8 @@ METRIC = "mean discounted return"
 
 MOST = {"seeds": 10_000, "eval_points": 10_000}
 """Of what a slip of the finger would otherwise keep a machine busy for ever."""
+MOST_RUNS = 100_000
+"""Of all agents together."""
 
 
 @dataclass(frozen=True)
@@ -147,8 +150,8 @@ class Experiment:
         eval_points: evaluations of each run, evenly spread over the budget.
 
     Raises:
-        ValueError: a number is not positive, both budgets or neither are given, no contender or
-            one twice.
+        ValueError: a number is not positive or too large, both budgets or neither are given, no
+            contender or one twice.
     """
 
     environment: EnvironmentSpec
@@ -172,9 +175,11 @@ class Experiment:
         names = [entry.name for entry in self.entries]
         if not names:
             raise ValueError("no agent is given")
-        for name in names:
-            if names.count(name) > 1:
-                raise ValueError(f"agent {name!r} is given twice")
+        if len(names) * self.seeds > MOST_RUNS:
+            raise ValueError(f"{len(names) * self.seeds:,} runs, the limit is {MOST_RUNS:,}")
+        if len(set(names)) < len(names):
+            twice = next(name for name, count in Counter(names).items() if count > 1)
+            raise ValueError(f"agent {twice!r} is given twice")
 
     @property
     def budget(self) -> int:

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import LogLocator, NullFormatter, SymmetricalLogLocator
 
-from baselines.curves import COLOURS, MARKERS, STYLES, Ground, dress, thousands
+from baselines.curves import COLOURS, MARKERS, STYLES, Ground, dress, plain, thousands
 from baselines.reproduction import Comparison, Computation, Lines, Reproduction
 from baselines.statistics import mean_band
 
@@ -56,14 +56,14 @@ def draw(
         draw_references(axes, known, ground)
     figure.legend(
         handles.values(),
-        handles,
+        [plain(label) for label in handles],
         loc="outside lower center",
         ncols=max(1, min(4, len(handles), int(width / _legend_width(labels)))),
         frameon=False,
         labelcolor=ground.ink,
         handlelength=3.0,
     )
-    figure.suptitle(reproduction.title, color=ground.ink, fontsize=13)
+    figure.suptitle(plain(reproduction.title), color=ground.ink, fontsize=13)
     return _png(figure)
 
 
@@ -89,7 +89,7 @@ def draw_references(axes: Axes, rows: Sequence[Mapping[str, Any]], ground: Groun
             named[value] = ", ".join([*together, row["agent"]])
     for value, text in named.items():
         axes.annotate(
-            text,
+            plain(text),
             (0.005, value),
             xycoords=("axes fraction", "data"),
             va="bottom",
@@ -124,9 +124,9 @@ def draw_table(
         axes.set_visible(False)
     for axes, panel in zip(every, tables, strict=False):
         _draw_values(axes, panel["rows"], labels, ground)
-        axes.set_title(panel["title"], color=ground.ink, fontsize=11)
-        axes.set_xlabel(panel["measure"])
-    figure.suptitle(reproduction.title, color=ground.ink, fontsize=13)
+        axes.set_title(plain(panel["title"]), color=ground.ink, fontsize=11)
+        axes.set_xlabel(plain(panel["measure"]))
+    figure.suptitle(plain(reproduction.title), color=ground.ink, fontsize=13)
     return _png(figure)
 
 
@@ -154,7 +154,7 @@ def _draw_values(
     else:
         axes.locator_params(axis="x", nbins=6)
     axes.xaxis.set_major_formatter(lambda value, _: thousands(value))
-    names = [row["agent"] for row in rows]
+    names = [plain(row["agent"]) for row in rows]
     axes.set_yticks(range(len(rows)), names, fontsize=8, color=ground.ink)
     axes.set_ylim(len(rows) - 0.4, -0.6)
 
@@ -197,7 +197,7 @@ def draw_panel(
             markevery=max(1, len(x) // 8),
         )
     dress(axes, ground)
-    axes.set_title(panel.title, color=ground.ink, fontsize=11)
+    axes.set_title(plain(panel.title), color=ground.ink, fontsize=11)
     if panel.logarithmic:
         _logarithmic_upwards(axes, min((float(y.min()) for _, y in lines.values()), default=1.0))
     axes.set_ylabel(panel.y if isinstance(panel, Computation) else panel.measure.label)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
 import re
 from collections.abc import Iterator
@@ -26,15 +27,21 @@ class FolderInUseError(RuntimeError):
 
 
 def parse_json(text: bytes) -> Any:
-    """Return the JSON value of a text, None if it is not JSON or holds NaN or an infinity."""
+    """Return the JSON value of a text, None if it is not JSON or holds NaN or an infinity.
+
+    A number too large for a float, such as 1e400, is an infinity.
+    """
     try:
-        return json.loads(text, parse_constant=_refuse_constant)
+        return json.loads(text, parse_constant=_finite, parse_float=_finite)
     except (ValueError, RecursionError):
         return None
 
 
-def _refuse_constant(name: str) -> None:
-    raise ValueError(f"{name} is not JSON")
+def _finite(text: str) -> float:
+    """Return a number, or raise ValueError."""
+    if not math.isfinite(value := float(text)):
+        raise ValueError(f"{text} is not JSON")
+    return value
 
 
 def check_name(name: str) -> str:

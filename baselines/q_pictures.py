@@ -12,7 +12,7 @@ from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from baselines.curves import COLOURS, LIGHT, dress
+from baselines.curves import COLOURS, LIGHT, dress, plain
 from bnprl_agents.gaussian_process.gp_q import GPQ
 from bnprl_agents.value_learner import ValueAgent
 from bnprl_envs.tables import FloatArray
@@ -116,10 +116,10 @@ def draw_values(
     unnamed = ("column", "row") if plane.is_grid else ("observation 0", "observation 1")
     across, upwards = axes or unnamed
     for place in every:
-        place.set(xlabel=across, ylabel=upwards)
+        place.set(xlabel=plain(across), ylabel=plain(upwards))
         dress(place, LIGHT)
         place.grid(visible=False)
-    figure.suptitle(title, color=INK, fontsize=13)
+    figure.suptitle(plain(title), color=INK, fontsize=13)
     picture = io.BytesIO()
     figure.savefig(picture, format="png", dpi=120, metadata={"Software": None})
     return picture.getvalue()
@@ -163,5 +163,5 @@ def _draw_policy(
         vmin=-0.5,
         vmax=agent.n_actions - 0.5,
     )
-    handles = [Patch(color=colours(a), label=name) for a, name in enumerate(names)]
+    handles = [Patch(color=colours(a), label=plain(name)) for a, name in enumerate(names)]
     axes.legend(handles=handles, frameon=True, fontsize=9, loc="upper right")

@@ -55,7 +55,11 @@ RETURNED = Measure("mean return of all episodes so far", lambda record: record.t
 REWARD = Measure("mean sum of an episode's rewards", lambda record: record.reward_mean)
 REWARD_PER_STEP = Measure(
     "mean reward per step",
-    lambda record: None if record.reward_mean is None else record.reward_mean / record.length_mean,
+    lambda record: (
+        record.reward_mean / record.length_mean
+        if record.reward_mean is not None and record.length_mean
+        else None
+    ),
 )
 
 

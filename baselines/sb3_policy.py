@@ -15,6 +15,7 @@ import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
 import torch
+from gymnasium.spaces.utils import flatdim
 from sb3_contrib import RecurrentPPO
 from stable_baselines3 import A2C, DQN, PPO
 from stable_baselines3.common.base_class import BaseAlgorithm
@@ -184,7 +185,8 @@ def _rebuilt(meta: Any, arrays: dict[str, Array]) -> SB3Policy:
     settings = kind(**meta["settings"])
     observation_space = build_space(meta["observation_space"])
     action_space = build_space(meta["action_space"])
-    _check_size(settings, observation_space, sum(array.size for array in arrays.values()))
+    n_weights = sum(array.size for array in arrays.values())
+    _check_size(settings, observation_space, action_space, n_weights)
     encoder = build_encoder(settings, observation_space)
     algorithm, policy_name = ALGORITHMS[kind]
     networks = []
@@ -216,16 +218,23 @@ def network_actions(settings: SB3Settings, action_space: Any) -> list[gym.Space[
     return spaces if settings.team == "independent" else spaces[:1]
 
 
-def _check_size(settings: SB3Settings, space: Any, n_weights: int) -> None:
-    """Refuse to build networks much larger than the weights that are to fill them."""
-    parts = space.values() if isinstance(space, Mapping) else [space]
-    sizes = [int(part.n) for part in parts if isinstance(part, gym.spaces.Discrete)]
-    inputs = max(sizes, default=0) * settings.frame_stack
-    if settings.team == "shared":
-        inputs += len(sizes)
-    widest = max(settings.hidden_units, getattr(settings, "lstm_units", 0))
-    if inputs > n_weights or widest**2 > n_weights:
-        raise ValueError(f"{n_weights} weights are too few for {inputs} inputs, {widest} units")
+def _check_size(
+    settings: SB3Settings, observation_space: Any, action_space: Any, n_weights: int
+) -> None:
+    """Refuse to build networks larger than the weights that are to fill them."""
+    team = isinstance(observation_space, Mapping)
+    parts = list(observation_space.values()) if team else [observation_space]
+    inputs = max(map(flatdim, parts))
+    if isinstance(parts[0], gym.spaces.Discrete):
+        inputs = inputs * settings.frame_stack + len(parts) * (settings.team == "shared")
+    outputs = max(map(flatdim, network_actions(settings, action_space)))
+    units = settings.hidden_units
+    first = getattr(settings, "lstm_units", units)
+    if inputs * first + max(units, first) ** 2 + units * outputs > n_weights:
+        raise ValueError(
+            f"{n_weights} weights are too few for {inputs} inputs, {max(units, first)} units and "
+            f"{outputs} outputs"
+        )
 
 
 def policy_keywords(settings: SB3Settings) -> dict[str, Any]:

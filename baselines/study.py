@@ -161,8 +161,9 @@ def _merge(folder: Path, values: dict[str, Any], old: Experiment, new: Experimen
             for key in sorted(before.settings.keys() | entry.settings.keys()):
                 here, there = before.settings.get(key), entry.settings.get(key)
                 _check_equal(folder, f"{entry.name}.{key}", here, there)
+    given = {entry.name for entry in new.entries}
     for entry in old.entries:
-        if is_own(entry.contender) and entry.name not in {given.name for given in new.entries}:
+        if is_own(entry.contender) and entry.name not in given:
             raise ValueError(
                 f"{folder} has runs of {entry.contender}; name that too, for it to be imported"
             )

@@ -207,15 +207,15 @@ def _set_shape(
     if shape == "reset":
         if table.keyword != "T" or len(rest) != 1:
             raise tokens.error("'reset' may only be a row of T (T: action : state reset)")
-        values = header.start
-        offsets = np.flatnonzero(values)
+        offsets = header.start_states
+        values = header.start[offsets]
     else:
         if len(rest) != 2 or rest[0].size != rest[1].size:
             raise tokens.error("'identity' may only be a square matrix")
         values = np.ones(rest[0].size)
         offsets = np.arange(rest[0].size) * (rest[0].size + 1)
     specifications.set_block(prefix, 0.0, line)
-    specifications.set_entries(prefix, offsets, values[values != 0], line)
+    specifications.set_entries(prefix, offsets, values, line)
 
 
 def _read_rows(

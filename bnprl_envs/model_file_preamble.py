@@ -5,16 +5,23 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import groupby
+from operator import itemgetter
 from typing import TypeVar
 
 import numpy as np
 
 from bnprl_envs.model_file_labels import MAX_SIZE, Labels, is_numeric, near_misses
+from bnprl_envs.model_file_specifications import IntArray
 from bnprl_envs.model_file_tokens import Tokens, as_numbers, number, shown
 from bnprl_envs.tables import SUM_TOLERANCE, FloatArray
 
 MAX_ROWS = 2**22
 """Largest number of rows A * S of a table that a file may declare."""
+
+MAX_AGENTS = 32
+"""Largest number of agents; with two actions each, `MAX_SIZE` allows 20."""
 
 PREAMBLE = ("discount", "values", "states", "actions", "observations", "start", "agents")
 TABLES = ("T", "O", "R")
@@ -44,8 +51,8 @@ class Item:
 
     def rows(self) -> list[list[str]]:
         """Return the words of each line that has any."""
-        lines = dict.fromkeys(line for line, _ in self.words)
-        return [[word for at, word in self.words if at == line] for line in lines]
+        lines = groupby(self.words, key=itemgetter(0))
+        return [[word for _, word in words] for _, words in lines]
 
 
 _ONE_AGENT = Item("agents", 1, ((1, "1"),))
@@ -76,6 +83,11 @@ class Header:
     observations: tuple[Labels, ...] | None
     agents: tuple[str, ...]
     start: FloatArray
+
+    @cached_property
+    def start_states(self) -> IntArray:
+        """The states that an episode may start in."""
+        return np.flatnonzero(self.start)
 
 
 def take_item(tokens: Tokens, keyword: str, line: int) -> tuple[Item, tuple[str, int]]:
@@ -192,6 +204,8 @@ def _sign(item: Item) -> float:
 def _agents(item: Item) -> tuple[str, ...]:
     """Return the agents' names: given, or `agent_0`, ... for a count."""
     labels = Labels.parse("agent", [word.rstrip(",") for word in item.texts])
+    if len(labels.names) > MAX_AGENTS:
+        raise ValueError(f"agents: {len(labels.names):,}, the limit is {MAX_AGENTS}")
     by_count = len(item.words) == 1 and is_numeric(item.texts[0])
     return tuple(f"agent_{n}" for n in labels.names) if by_count else labels.names
 
@@ -203,7 +217,14 @@ def _per_agent(kind: str, item: Item, by_line: bool, agents: Sequence[str]) -> t
         raise ValueError(
             f"{kind}s: {len(rows)} lines, must be one for each of the {len(agents)} agents"
         )
-    return tuple(Labels.parse(kind, row) for row in rows)
+    labels: list[Labels] = []
+    size = 1
+    for row in rows:
+        labels.append(Labels.parse(kind, row))
+        size *= len(labels[-1].names)
+        if size > MAX_SIZE:
+            raise ValueError(f"{size:,} joint {kind}s, the limit is {MAX_SIZE:,}")
+    return tuple(labels)
 
 
 def _check_sizes(
@@ -212,9 +233,6 @@ def _check_sizes(
     n_states = len(states.names)
     n_actions = math.prod(len(labels.names) for labels in actions)
     n_observations = math.prod(len(labels.names) for labels in observations or ())
-    for kind, size in (("actions", n_actions), ("observations", n_observations)):
-        if size > MAX_SIZE:
-            raise ValueError(f"{size:,} joint {kind}, the limit is {MAX_SIZE:,}")
     if n_actions * n_states > MAX_ROWS:
         raise ValueError(
             f"{n_actions:,} actions times {n_states:,} states, the limit is {MAX_ROWS:,}"

@@ -9,10 +9,12 @@ agent. Nothing here grows with a wildcard, so `T: * : * : * 0` costs as much as 
 from __future__ import annotations
 
 import math
+import operator
 from array import array
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import accumulate
 
 import numpy as np
 import numpy.typing as npt
@@ -62,7 +64,8 @@ class Specifications:
 
     def __init__(self, sizes: Sequence[int], error: Callable[[str, int], ModelFileError]) -> None:
         self.sizes = tuple(sizes)
-        self._strides = tuple(math.prod(self.sizes[k + 1 :]) for k in range(len(self.sizes)))
+        strides = accumulate(reversed(self.sizes[1:]), operator.mul, initial=1)
+        self._strides = tuple(strides)[::-1]
         self._error = error
         self._patterns: dict[tuple[int, ...], _Pattern] = {}
         self._line_of_order = array("q")

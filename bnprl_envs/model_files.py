@@ -175,11 +175,12 @@ def _slot_axes(table: Table) -> list[set[int]]:
 
 def _terminal(tokens: Tokens, header: Header, items: list[Item]) -> BoolArray:
     """Return (S,) flags of the states on the `E:` lines."""
-    flags = np.zeros(len(header.states.names), dtype=np.bool_)
-    for item in items:
-        for line, word in item.words:
-            try:
-                flags[header.states.find_all([word])] = True
-            except ValueError as error:
-                raise tokens.error(f"E: {error}", line) from None
+    words = [each for item in items for each in item.words]
+    flags = np.full(len(header.states.names), any(word == "*" for _, word in words))
+    for line, word in words:
+        try:
+            if word != "*":
+                flags[header.states.find(word)] = True
+        except ValueError as error:
+            raise tokens.error(f"E: {error}", line) from None
     return flags

@@ -38,6 +38,8 @@ def pomdp_table() -> list[list[str]]:
     found: dict[tuple[str, int], list[dict[str, Any]]] = defaultdict(list)
     for record in rows(RESULTS / "pomdp-learners" / "records.jsonl"):
         run = record["run"]
+        if run["agent"] != pomdp_learners.AGENT:
+            continue
         for goal, score in zip(run["goals"], record["scores"], strict=True):
             found[run["environment"], goal].append(score)
     ordered = [
@@ -51,11 +53,13 @@ def pomdp_table() -> list[list[str]]:
 
 def team_table() -> list[list[str]]:
     """Return the table of the search for teams, header first."""
-    found: dict[str, list[dict[str, Any]]] = defaultdict(list)
-    for record in rows(RESULTS / "team-learners" / "runs.jsonl"):
-        found[record["problem"]].append(record)
-    ordered = [problem for problem in team_learners.PROBLEMS if problem.name in found]
-    return [HEADER, *(row(each.name, each.steps, found[each.name]) for each in ordered)]
+    found: dict[tuple[str, int], list[dict[str, Any]]] = defaultdict(list)
+    for record in rows(RESULTS / "team-learners" / "records.jsonl"):
+        run = record["run"]
+        if run["agent"] == team_learners.AGENT:
+            found[run["environment"], run["steps"]] += record["scores"]
+    ordered = [(each.name, each.steps) for each in team_learners.PROBLEMS]
+    return [HEADER, *(row(*each, found[each]) for each in ordered if each in found)]
 
 
 def deep_table(shares: Sequence[float]) -> list[list[str]]:

@@ -113,3 +113,16 @@ def test_the_readme_has_the_kept_numbers():
         header, *body = table
         assert len(body) >= 5
         assert {len(row) for row in body} == {len(header)}
+
+
+def test_the_table_of_one_learner_leaves_others_out(tmp_path, monkeypatch):
+    learners = script("learners")
+    monkeypatch.setattr(learners, "RESULTS", tmp_path)
+    (tmp_path / "pomdp-learners").mkdir()
+    with (tmp_path / "pomdp-learners" / "records.jsonl").open("w") as file:
+        for agent, value in (("predictive-actor-critic", 0.8), ("actor-critic", 0.2)):
+            run = {"agent": agent, "environment": "bnprl/CheeseMaze-v0", "goals": [100_000]}
+            score = {"steps": 99_000, "value": value, "seconds": 1.0}
+            file.write(json.dumps({"run": run, "scores": [score]}) + "\n")
+    _, row = learners.pomdp_table()
+    assert row[:3] == ["CheeseMaze", "100,000", "0.8"]

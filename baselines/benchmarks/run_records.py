@@ -15,11 +15,19 @@ from baselines.contenders import contender
 
 
 class Score(NamedTuple):
-    """How one seed stands on its way: environment steps, value, processor seconds of learning."""
+    """How one seed stands on its way.
+
+    Attributes:
+        steps: of the environment.
+        value: of the policy.
+        seconds: of the processor, spent on learning.
+        nodes: of a team's largest controller; None of other policies.
+    """
 
     steps: int
     value: float
     seconds: float
+    nodes: int | None = None
 
 
 class Run(NamedTuple):
@@ -110,7 +118,11 @@ class Records:
     def _keep(self, run: Run, scores: list[Score]) -> None:
         self.known[_key(run.description)] = scores
         if self.path is not None:
-            line = {"run": run.description, "scores": [score._asdict() for score in scores]}
+            known = [
+                {key: value for key, value in score._asdict().items() if value is not None}
+                for score in scores
+            ]
+            line = {"run": run.description, "scores": known}
             with self.path.open("a") as file:
                 file.write(json.dumps(line, allow_nan=False) + "\n")
 

@@ -11,21 +11,23 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import json
 import sys
 import time
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import bnprl_envs
+from baselines.benchmarks.run_records import Records, Run, Score
 from bnprl_agents import ControllerSearch, controller_value, train
 from bnprl_envs import GridTrafficBatch, TabularModel, TabularParallelBatch
 from bnprl_envs.memoryless import memoryless_joint_policy
 from bnprl_envs.team import agent_spaces
 
+AGENT = "controller-search"
 SECONDS = 300.0
 """CPU time of one seed that may not be exceeded."""
 DISCOUNT = 0.9
@@ -69,16 +71,7 @@ PROBLEMS = (
 )
 
 
-@dataclass(frozen=True)
-class Run:
-    """One seed: value, nodes of the largest controller, and seconds of CPU time."""
-
-    value: float
-    nodes: int
-    seconds: float
-
-
-def run(problem: Problem, seed: int) -> Run:
+def run(problem: Problem, seed: int) -> list[Score]:
     """Train from one seed and evaluate the returned controllers."""
     begin = time.process_time()
     model = problem.model()
@@ -88,36 +81,13 @@ def run(problem: Problem, seed: int) -> Run:
         pass
     seconds = time.process_time() - begin
     value = controller_value(model, agent.controllers, DISCOUNT) if model else units_a_step(agent)
-    return Run(value, max(c.n_nodes for c in agent.controllers), seconds)
+    return [Score(problem.steps, value, seconds, max(c.n_nodes for c in agent.controllers))]
 
 
-class Finished:
-    """The finished runs, in a file of one line of JSON each.
-
-    Args:
-        path: of the file, which need not exist; None keeps nothing.
-    """
-
-    def __init__(self, path: Path | None) -> None:
-        self.path = path
-        self.known: dict[tuple[str, int, int], Run] = {}
-        content = path.read_text() if path and path.exists() else ""
-        for line in content.splitlines():
-            fields = json.loads(line)
-            key = (fields.pop("problem"), fields.pop("steps"), fields.pop("seed"))
-            self.known[key] = Run(**fields)
-
-    def run(self, problem: Problem, seed: int) -> Run:
-        """The run of a seed, from the file if it is there; see `run`."""
-        key = (problem.name, problem.steps, seed)
-        if key not in self.known:
-            self.known[key] = run(problem, seed)
-            line = dict(zip(("problem", "steps", "seed"), key, strict=True))
-            if self.path:
-                with self.path.open("a") as file:
-                    found = dataclasses.asdict(self.known[key])
-                    file.write(json.dumps(line | found, allow_nan=False) + "\n")
-        return self.known[key]
+def described(problem: Problem, seed: int) -> Run:
+    """A run of `run`."""
+    make = partial(run, problem, seed)
+    return Run.of(AGENT, problem.name, seed, make, steps=problem.steps, discount=DISCOUNT)
 
 
 def units_a_step(agent: ControllerSearch) -> float:
@@ -134,7 +104,7 @@ def units_a_step(agent: ControllerSearch) -> float:
     return passed / (env.max_episode_steps or 1)
 
 
-def report(problem: Problem, runs: list[Run]) -> bool:
+def report(problem: Problem, runs: list[Score]) -> bool:
     """Print the verdict on a problem and return it."""
     values = [r.value for r in runs]
     mean, slowest = float(np.mean(values)), max(r.seconds for r in runs)
@@ -160,15 +130,15 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--scale", type=float, default=1.0, help="factor of the simulated steps")
     parser.add_argument("--out", type=Path, help="file of finished runs, which are not run again")
     chosen = parser.parse_args(arguments)
-    finished, passed = Finished(chosen.out), True
+    records, passed = Records(chosen.out), True
     print("problem                    seed     value  nodes  seconds")
     for problem in PROBLEMS:
         if problem.name not in chosen.problems:
             continue
         scaled = dataclasses.replace(problem, steps=int(problem.steps * chosen.scale))
-        runs = []
+        runs: list[Score] = []
         for seed in range(chosen.seeds):
-            runs.append(finished.run(scaled, seed))
+            runs += records.of(described(scaled, seed))
             r = runs[-1]
             print(f"{problem.name:25}  {seed:4}  {r.value:8.3f}  {r.nodes:5}  {r.seconds:7.1f}")
             sys.stdout.flush()

@@ -168,7 +168,10 @@ def race(runs: dict[str, list[list[Score]]]) -> bool:
     print(f"\n{RACE:21}  {RIVAL:>33}  {AGENT:>33}")
     print(f"{'':21}" + f"  {'steps':>13}  {'mean':>8}  {'cpu s':>8}" * 2 + f"  {'ratio':>6}")
     passed = True
-    ours, theirs = (np.mean(runs[name], axis=0) for name in (AGENT, RIVAL))
+    ours, theirs = (
+        np.mean([[score[:3] for score in scores] for scores in runs[name]], axis=0)
+        for name in (AGENT, RIVAL)
+    )
     for rival in theirs:
         within = ours[ours[:, 0] <= rival[0]]
         first = next((score for score in within if score[1] >= rival[1]), within[-1])

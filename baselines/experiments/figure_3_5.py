@@ -17,10 +17,10 @@ DIVERGED = 1e6
 QUICK = {"seeds": 1, "steps": 15_000, "eval_points": 3, "eval_episodes": 10}
 
 
-def error(record: Record) -> float:
+def error(record: Record) -> float | None:
     """Return the mean absolute temporal difference; `DIVERGED` if larger or learning stopped."""
-    metrics = record.metrics
-    return DIVERGED if metrics.get("diverged") else min(metrics["td_error"], DIVERGED)
+    found = DIVERGED if record.metrics.get("diverged") else record.metrics.get("td_error")
+    return None if found is None else min(found, DIVERGED)
 
 
 REPRODUCTION = Reproduction(

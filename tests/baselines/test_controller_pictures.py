@@ -2,10 +2,14 @@
 
 import numpy as np
 import pytest
+from gymnasium.spaces import Box, Discrete
 
 from baselines import cli
 from baselines.controller_pictures import draw_controllers, usage
+from baselines.q_pictures import draw_values
+from bnprl_agents import LinearQ
 from bnprl_agents.controllers.controller import Controller
+from bnprl_envs.model import Names
 from tests.agents.cases import copying_model
 from tests.baselines.fakes import record
 
@@ -36,6 +40,17 @@ def test_a_picture_with_curves_where_there_are_records():
     assert bare.startswith(PNG)
     assert with_curves.startswith(PNG)
     assert len(with_curves) > len(bare)
+
+
+def test_names_from_outside_are_drawn_as_they_are():
+    hostile = "$_$"
+    names = Names(("0", "1"), ((hostile, "1"),), ((hostile, "1"),), ("agent_0",))
+    model = copying_model().replace(names=names)
+    assert draw_controllers(model, [copying_controller()], (), hostile).startswith(PNG)
+    agent = LinearQ(Box(0.0, 1.0, (2,)), Discrete(2), discount=0.9, seed=0)
+    twice = (hostile, hostile)
+    picture = draw_values(agent, axes=twice, actions=twice, compass=False, title=hostile)
+    assert picture.startswith(PNG)
 
 
 def test_the_command_draws_controllers_of_agents_and_teams(tmp_path, capsys):

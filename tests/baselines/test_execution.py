@@ -1,8 +1,10 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import logging
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -194,6 +196,23 @@ def test_a_damaged_experiment_is_named(tmp_path: Path, text: bytes) -> None:
 
 
 @pytest.mark.parametrize(
+    ("environment", "reason"),
+    [
+        ({"id": 3}, "environment 3: must be a name"),
+        ({"id": "bnprl/Tiger-v0", "kwargs": [1]}, "Tiger-v0: kwargs must be an object of keywords"),
+        ({"id": "bnprl/Tiger-v0", "kwargs": {"discount": "1"}}, "discount: '1', must lie in"),
+    ],
+)
+def test_an_environment_of_other_types_is_refused(
+    tmp_path: Path, environment: dict[str, Any], reason: str
+) -> None:
+    values = experiment().to_json() | {"commands": [], "versions": {}, "environment": environment}
+    (tmp_path / "experiment.json").write_text(json.dumps(values))
+    with pytest.raises(RecordError, match=reason):
+        load_study(tmp_path)
+
+
+@pytest.mark.parametrize(
     ("changes", "reason"),
     [
         ({"episodes": None}, "exactly one of --episodes and --steps"),
@@ -230,6 +249,15 @@ def test_entries_are_checked() -> None:
         Entry("x", "fake", {"gian": 1.0})
     with pytest.raises(ValueError, match="agent 'fake' is given twice"):
         experiment(Entry.of("fake"), Entry.of("fake"))
+
+
+def test_many_entries_take_linear_time_up_to_a_limit() -> None:
+    begin = time.process_time()
+    entries = [Entry(f"fake-{k}", "fake", {}) for k in range(20_001)]
+    experiment(*entries[:20_000], seeds=5)
+    assert time.process_time() - begin < 5
+    with pytest.raises(ValueError, match="100,005 runs, the limit is 100,000"):
+        experiment(*entries, seeds=5)
 
 
 @pytest.mark.parametrize("engine", ["ray", "dask"])

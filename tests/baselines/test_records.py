@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from baselines.files import FolderInUseError, check_name, folder_lock, write_atomic
+from baselines.files import FolderInUseError, check_name, folder_lock, parse_json, write_atomic
 from baselines.records import LINE_LIMIT, RecordError, RunFiles, open_log, read_records
 from tests.baselines.fakes import record
 
@@ -27,6 +27,12 @@ def test_records_come_back_as_they_were_appended(tmp_path: Path) -> None:
         log.restart()
         log.append(last)
     assert read_records(path).lines == (last,)
+
+
+@pytest.mark.parametrize("text", ["NaN", "-Infinity", "1e400", "[-1e400]", "{", "1" * 5000])
+def test_what_is_no_finite_json_is_none(text: str) -> None:
+    assert parse_json(text.encode()) is None
+    assert parse_json(b"[1e300, 2]") == [1e300, 2]
 
 
 @pytest.mark.parametrize("tail", [b'{"contender": "fa', b"\0\0\0", b'{"a": NaN}', b"{}"])
@@ -73,7 +79,7 @@ def damaged(key: str, value: Any) -> bytes:
         (damaged("seed", True), "seed must be a count"),
         (damaged("final", 1), "final must be true or false"),
         (damaged("return_mean", "high"), "return_mean must be a finite number"),
-        (record().line().replace(b"0.25", b"1e999"), "return_mean must be a finite number"),
+        (record().line().replace(b"0.25", b"1e999"), "not a record"),
         (record().line().replace(b"0.25", b"9" * 400), "return_mean must be a finite number"),
         (record().line().replace(b"0.25", b"NaN"), "not a record"),
         (damaged("metrics", {"a": "b"}), "metrics must be an object of finite numbers"),

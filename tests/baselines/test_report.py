@@ -6,10 +6,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from matplotlib.cbook import is_math_text
 from matplotlib.figure import Figure
 from scipy.stats import sem, t
 
-from baselines.curves import LIGHT, draw_curves, on_one_grid
+from baselines.curves import LIGHT, draw_curves, on_one_grid, plain
 from baselines.environment import EnvironmentSpec
 from baselines.experiment import Entry, Experiment
 from baselines.files import parse_json
@@ -164,6 +165,16 @@ def test_names_from_outside_cannot_become_markup(tmp_path: Path) -> None:
     text = (tmp_path / "report.html").read_text()
     assert text.count("<script>") == 1
     assert "&lt;script&gt;alert(1)" in text
+
+
+def test_names_from_outside_are_drawn_as_they_are(tmp_path: Path) -> None:
+    chosen = Experiment(EnvironmentSpec("$_$/$^$.POMDP"), (Entry.of("fake"),), steps=5)
+    open_study(tmp_path, chosen, "bnprl compare")
+    write_runs(tmp_path, "fake", [{}])
+    write_report(tmp_path)
+    for text in ("$_$", r"a\$b$", "one $", "none"):
+        assert not is_math_text(plain(text))
+        assert plain(text).replace(r"\$", "$") == text  # as Matplotlib does
 
 
 def test_files_replace_each_other_and_nothing_else_is_left(folder: Path) -> None:

@@ -11,6 +11,7 @@ from baselines import cli, reproduction
 from baselines.curves import LIGHT
 from baselines.environment import EnvironmentSpec
 from baselines.experiment import Entry, Experiment
+from baselines.experiments import figure_3_5
 from baselines.experiments.figure_3_3 import largest_values
 from baselines.figures import draw_panel, draw_references
 from baselines.reproduction import (
@@ -23,6 +24,7 @@ from baselines.reproduction import (
 )
 from bnprl_agents import LinearQ
 from bnprl_envs.registry import Reference
+from tests.baselines.fakes import record
 
 TINY = Reproduction(
     title="tiny",
@@ -188,6 +190,13 @@ def test_a_table_has_a_row_for_each_environment(tmp_path, monkeypatch, capsys):
     assert " ± " in row
     assert row.endswith("| 0.25 | 0.5 | – |")
     assert (tmp_path / "figure.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_numbers_that_a_record_lacks_are_none():
+    assert REWARD_PER_STEP.of(record(reward_mean=1.0, length_mean=0.0)) is None
+    assert figure_3_5.error(record(metrics={})) is None
+    assert figure_3_5.error(record(metrics={"td_error": 0.5})) == 0.5
+    assert figure_3_5.error(record(metrics={"diverged": 1.0})) == figure_3_5.DIVERGED
 
 
 @pytest.mark.parametrize(("last", "scale"), [(1000.0, "log"), (-1000.0, "symlog")])

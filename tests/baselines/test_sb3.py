@@ -264,6 +264,10 @@ def test_a_policy_is_refused_in_an_environment_of_other_spaces() -> None:
         evaluate(learner.policy, EnvironmentSpec("bnprl/Hallway-v0"), episodes=2, seed=0)
 
 
+def discrete(n: int) -> dict[str, Any]:
+    return {"type": "Discrete", "n": n, "start": 0}
+
+
 def test_damaged_policy_files_are_refused(tmp_path: Any) -> None:
     learner = SB3Learner(CORRIDOR, TINY[1], seed=2)
     path = tmp_path / "policy.npz"
@@ -272,21 +276,25 @@ def test_damaged_policy_files_are_refused(tmp_path: Any) -> None:
     with np.load(path) as archive:
         arrays = dict(archive)
     name = next(name for name in arrays if name != "meta")
+    count = sum(array.size for array in arrays.values())
     for content in (b"", b"not a zip", data[: len(data) // 2]):
         path.write_bytes(content)
         with pytest.raises(PolicyFileError, match=r"policy\.npz"):
             load_sb3_policy(path)
     meta = json.loads(arrays["meta"].tobytes())
-    for change in (
-        {"settings_type": "TRPOSettings"},
-        {"format": "else"},
-        {"settings": {"units": 3}},
-        {"settings": {"hidden_units": 10**6}},
-        {"observation_space": {"type": "Discrete", "n": 10**9, "start": 0}},
+    for change, reason in (
+        ({"settings_type": "TRPOSettings"}, "TRPOSettings"),
+        ({"format": "else"}, "format 'else'"),
+        ({"settings": {"units": 3}}, "unexpected keyword"),
+        ({"settings": {"hidden_units": 10**6}}, "weights are too few"),
+        ({"observation_space": discrete(10**9)}, "weights are too few"),
+        ({"observation_space": discrete(count // 2)}, "weights are too few"),
+        ({"action_space": discrete(10**9)}, "weights are too few"),
+        ({"action_space": discrete(count // 2)}, "weights are too few"),
     ):
         text = np.frombuffer(json.dumps(meta | change).encode(), dtype=np.uint8)
         np.savez(path, **(arrays | {"meta": text}))
-        with pytest.raises(PolicyFileError):
+        with pytest.raises(PolicyFileError, match=reason):
             load_sb3_policy(path)
     np.savez(path, **(arrays | {name: np.zeros(3)}))
     with pytest.raises(PolicyFileError, match="loading state_dict"):

@@ -1,5 +1,6 @@
 """Malformed and oversized model files are refused by line and reason."""
 
+import time
 import tracemalloc
 
 import numpy as np
@@ -88,6 +89,9 @@ MALFORMED = {
     "joint colon": (JOINT + JOINT_BODY + "T: x 0 : a : b 1\n", 17, "then a colon"),
     "joint action": (JOINT + JOINT_BODY + "T:\nx 0 : a : b : 1\n", 17, "on the same line"),
     "agents": (JOINT.replace("agents: 2", "agents: 99999999") + JOINT_BODY, 1, "above the limit"),
+    "many agents": (JOINT.replace("agents: 2", "agents: 33"), 1, "agents: 33, the limit is 32"),
+    "joint actions": (JOINT.replace("x y\n3", "1000\n1049"), 7, "joint actions, the limit is"),
+    "joint observations": (JOINT.replace("p q\n2", "9999\n9999"), 10, "joint observations, the"),
 }
 
 
@@ -156,6 +160,21 @@ class TestBounds:
         error = failure(read, text)
         assert error.line == 8
         assert "72,000,000 rewards over observations" in error.reason
+
+    def test_words_on_many_lines_take_linear_time(self, read):
+        begin = time.process_time()
+        error = failure(read, JOINT.replace("x y\n3\n", "x\n" * 20_000))
+        assert "actions: 20000 lines, must be one for each of the 2 agents" in error.reason
+        assert time.process_time() - begin < 2
+
+    @pytest.mark.parametrize("statement", ["E: * *\n", "E: *\n", "T: 3 : 0 reset\n"])
+    def test_short_statements_about_all_states_take_linear_time(self, read, statement):
+        text = self.preamble(100_000) + "start: 0\nT: * identity\nO: * uniform\n"
+        begin = time.process_time()
+        read(text)
+        once = time.process_time() - begin
+        read(text + statement * 20_000)
+        assert time.process_time() - begin - once < 2 * once + 2
 
     def test_big_sparse_model(self, tmp_path):
         """2,000 states with 10 successors and every kind of reward stay far below dense tables."""
