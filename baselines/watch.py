@@ -19,6 +19,7 @@ from baselines.evaluation import Policy
 from baselines.learners import load_policy
 from baselines.usage import usage_errors
 from baselines.watch_pictures import beside, beside_as_text, write_gif
+from bnprl_agents.history_agent import PolicyState
 from bnprl_envs import registry
 from bnprl_envs.model import TabularModel
 from bnprl_envs.planning import belief_update
@@ -170,8 +171,8 @@ def _known_model(env: Any) -> TabularModel:
     Raises:
         ValueError: there is none, it has several agents, or its state is seen.
     """
-    model: TabularModel | None = getattr(env.unwrapped, "model", None)
-    if model is None or model.n_agents > 1 or model.fully_observed:
+    model = getattr(env.unwrapped, "model", None)
+    if not isinstance(model, TabularModel) or model.n_agents > 1 or model.fully_observed:
         raise ValueError("--belief needs one agent that sees its known model only in part")
     return model
 
@@ -215,8 +216,9 @@ def _step(env: Any, action: Any) -> tuple[Any, float, bool]:
 
 def _nodes(state: Any) -> tuple[FloatArray, ...]:
     """Return the node distributions (Z,) in the state that a controller's `predict` returned."""
-    belief = getattr(state, "belief", ())
-    beliefs = (belief,) if isinstance(belief, np.ndarray) else belief
+    if not isinstance(state, PolicyState):
+        return ()
+    beliefs = (state.belief,) if isinstance(state.belief, np.ndarray) else state.belief
     return tuple(each[0] for each in beliefs)
 
 
