@@ -28,7 +28,7 @@ COMPASS_WORLDS = ("bnprl/Gridworld-v0", "bnprl/PuddleWorld-v0")
 def plot(options: Plot) -> int:
     """Draw learned values or controllers beside the policy file; return the exit code."""
     with usage_errors():
-        policy = load_policy(options.file)
+        policy = load_policy(options.file, options.agent)
         environment = _environment(options)
         if isinstance(policy, ValueAgent):
             picture = _values(policy, environment)
