@@ -58,7 +58,7 @@ def _reason(
     command: str, fields: Sequence[dataclasses.Field[Any]], given: Sequence[str], box: str
 ) -> str:
     """Return in one line what tyro says in a box."""
-    flags = ["--help", *_flags(fields)]
+    flags = ["--help", *flags_of(fields)]
     for token in given:
         flag = token.partition("=")[0].replace("_", "-")
         if flag.startswith("--") and flag not in flags:
@@ -88,13 +88,15 @@ def _is_rule(row: str) -> bool:
     return set(row.strip()) <= set("─-╰╯")
 
 
-def _flags(fields: Sequence[dataclasses.Field[Any]]) -> list[str]:
+def flags_of(fields: Sequence[dataclasses.Field[Any]]) -> list[str]:
     """Return the options of a dataclass, those of settings within it included."""
     flags = []
     for field in fields:
         flag = f"--{field.name.replace('_', '-')}"
-        if dataclasses.is_dataclass(field.default):
-            flags += _flags(dataclasses.fields(field.default))
+        if field.default_factory is not dataclasses.MISSING and dataclasses.is_dataclass(
+            settings := field.default_factory()
+        ):
+            flags += flags_of(dataclasses.fields(settings))
         elif isinstance(field.default, bool):
             flags += [flag, flag.replace("--", "--no-", 1)]
         elif "Positional" not in str(field.type):

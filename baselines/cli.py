@@ -16,7 +16,7 @@ from typing import Annotated, Any
 import tyro
 
 from baselines import options
-from baselines.arguments import parse
+from baselines.arguments import flags_of, parse
 from baselines.usage import UsageError, usage_errors
 
 THREAD_VARIABLES = (
@@ -134,23 +134,35 @@ def _train_with_settings(given: list[str]) -> type[options.Train]:
 
     with usage_errors():
         settings = contender(names[0]).settings
+        _check_flags(names[0], settings)
     if not dataclasses.fields(settings):
         return options.Train
     lenient = dataclasses.make_dataclass(  # values are checked later, to be refused in one line
         type(settings).__name__,
         [],
         bases=(type(settings),),
-        frozen=True,
+        frozen=type(settings).__dataclass_params__.frozen,
         namespace={"__post_init__": lambda _: None},
     )
     lenient.__doc__ = type(settings).__doc__
-    default = dataclasses.field(default=lenient(**vars(settings)))
+    default = dataclasses.field(default_factory=lambda: lenient(**vars(settings)))
     kind = Annotated[lenient, tyro.conf.OmitArgPrefixes]  # type: ignore[valid-type]
     made = dataclasses.make_dataclass(
         "Train", [("settings", kind, default)], bases=(options.Train,), frozen=True
     )
     made.__doc__ = options.Train.__doc__
     return made
+
+
+def _check_flags(agent: str, settings: Any) -> None:
+    """Refuse settings whose flags are those of `train` itself (ValueError)."""
+    taken = set(flags_of(dataclasses.fields(options.Train)))
+    for field in dataclasses.fields(settings):
+        if taken.intersection(flags_of([field])):
+            raise ValueError(
+                f"{agent}: its setting {field.name} has the name of an option of train; rename it, "
+                "or set it with compare --set"
+            )
 
 
 def _run(chosen: Any, given: list[str]) -> int:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import importlib
 import os
 import traceback
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -72,7 +74,7 @@ class EnvironmentSpec:
             OSError: the model file cannot be read.
         """
         try:
-            if self._has_several_agents():
+            if self.has_several_agents():
                 if autoreset_mode != "Disabled":
                     raise ValueError(f"autoreset_mode: {autoreset_mode}, teams know Disabled only")
                 return self._make_team(num_envs)
@@ -92,7 +94,7 @@ class EnvironmentSpec:
         """
         _ = self.horizon, self.discount
         env = self.make_vec(1)
-        if self._has_several_agents() and not self._is_file() and self._entry() is None:
+        if self.has_several_agents() and not self._is_file() and self._entry() is None:
             env.action_space.seed(0)
             env.reset(seed=0)
             for _ in range(TRIAL_STEPS):
@@ -120,7 +122,7 @@ class EnvironmentSpec:
         try:
             if self._is_file():
                 return _model(self.id, os.stat(self.id).st_mtime_ns, discount, **arguments)
-            return _model(self._name, None, discount, **arguments)
+            return _model(self.name, None, discount, **arguments)
         except TypeError as error:
             raise ValueError(f"{self.id}: {error}") from error
 
@@ -139,10 +141,10 @@ class EnvironmentSpec:
         entry = self._entry()
         if entry is not None:
             return entry.horizon
-        if self._has_several_agents():
-            limit: int | None = pettingzoo.spec("parallel", self._name).max_cycles
+        if self.has_several_agents():
+            limit: int | None = pettingzoo.spec("parallel", self.name).max_cycles
             return limit
-        return gym.spec(self._name).max_episode_steps
+        return gym.spec(self.name).max_episode_steps
 
     @property
     def discount(self) -> float:
@@ -168,7 +170,7 @@ class EnvironmentSpec:
             return TabularVectorEnv(
                 model, num_envs, max_episode_steps=self.horizon, autoreset_mode=autoreset_mode
             )
-        known = gym.spec(self._name).vector_entry_point if self.id.startswith("bnprl/") else None
+        known = gym.spec(self.name).vector_entry_point if self.id.startswith("bnprl/") else None
         modes: dict[str, Any] = (
             {"autoreset_mode": autoreset_mode}
             if known is not None
@@ -177,16 +179,8 @@ class EnvironmentSpec:
                 "vector_kwargs": {"autoreset_mode": gym.vector.AutoresetMode(autoreset_mode)},
             }
         )
-        try:
-            return gym.make_vec(self._name, num_envs=num_envs, **modes, **self._keywords())
-        except Exception as error:  # whatever somebody else's constructor raises
-            if known is not None:
-                raise
-            where = traceback.extract_tb(error.__traceback__)[-1]
-            raise ValueError(
-                f"{self.id}: cannot be made: {type(error).__name__}: {error} "
-                f"({where.filename}:{where.lineno})"
-            ) from error
+        with contextlib.nullcontext() if known is not None else made_elsewhere(self.id):
+            return gym.make_vec(self.name, num_envs=num_envs, **modes, **self._keywords())
 
     def _make_team(self, num_envs: int) -> AnyVectorEnv:
         model = self.model()
@@ -204,11 +198,13 @@ class EnvironmentSpec:
 
         keywords = self._keywords()
         cycles = keywords.pop("max_episode_steps", None)
+        with made_elsewhere(self.id):
+            copies = [
+                pettingzoo.make("parallel", self.name, max_cycles=cycles, **keywords)
+                for _ in range(num_envs)
+            ]
         try:
-            return ParallelBatch(
-                lambda: pettingzoo.make("parallel", self._name, max_cycles=cycles, **keywords),
-                num_envs,
-            )
+            return ParallelBatch(copies.pop, num_envs)
         except ValueError as error:
             raise ValueError(f"{self.id}: {error}") from error
 
@@ -218,17 +214,23 @@ class EnvironmentSpec:
     def _is_file(self) -> bool:
         return self.id.lower().endswith((".pomdp", ".dpomdp")) or Path(self.id).is_file()
 
-    def _has_several_agents(self) -> bool:
+    def has_several_agents(self) -> bool:
+        """Return whether it is a team's.
+
+        Raises:
+            ValueError: there is no such environment.
+            OSError: the model file cannot be read.
+        """
         if self._is_file():
             model = self.model()
             return model is not None and model.n_agents > 1
         entry = self._entry()
         if entry is None:
-            return self._name in pettingzoo.parallel_registry
+            return self.name in pettingzoo.parallel_registry
         return entry.kind.startswith("parallel")
 
     @property
-    def _name(self) -> str:
+    def name(self) -> str:
         """The id without the module before its colon, which is imported."""
         module, _, name = self.id.rpartition(":")
         if module:
@@ -237,7 +239,7 @@ class EnvironmentSpec:
 
     def _entry(self) -> registry.Entry | None:
         """Return the suite's entry, None for an environment that is registered elsewhere."""
-        name = self._name
+        name = self.name
         if name in registry.environment_ids():
             return registry.entry(name)
         elsewhere = [*gym.registry, *pettingzoo.parallel_registry]
@@ -247,6 +249,19 @@ class EnvironmentSpec:
         if near and not any(known.startswith("bnprl/") for known in near):
             raise ValueError(f"unknown environment {name!r}; did you mean {' or '.join(near)}?")
         return registry.entry(name)  # raises, and names near misses
+
+
+@contextlib.contextmanager
+def made_elsewhere(id: str) -> Iterator[None]:
+    """Turn whatever somebody else's constructor raises into a ValueError of one line."""
+    try:
+        yield
+    except Exception as error:
+        where = traceback.extract_tb(error.__traceback__)[-1]
+        raise ValueError(
+            f"{id}: cannot be made: {type(error).__name__}: {error} "
+            f"({where.filename}:{where.lineno})"
+        ) from error
 
 
 @lru_cache(maxsize=32)

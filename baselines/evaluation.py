@@ -11,7 +11,16 @@ import numpy as np
 import numpy.typing as npt
 
 from baselines.environment import AnyVectorEnv, EnvironmentSpec
+from bnprl_agents.belief.learner import BeliefAgent
+from bnprl_agents.belief.policy import BeliefPolicy
+from bnprl_agents.belief.rollout import belief_rollout
+from bnprl_agents.controllers.controller import Controller
+from bnprl_agents.controllers.learner import ControllerAgent
+from bnprl_agents.controllers.scoring import simulated_scores
+from bnprl_agents.controllers.value import controller_value
+from bnprl_agents.value_learner import ValueAgent
 from bnprl_envs.model import TabularModel
+from bnprl_envs.planning import policy_value
 from bnprl_envs.tables import FloatArray
 from bnprl_envs.team import agent_spaces
 
@@ -86,31 +95,29 @@ def evaluate(
         raise ValueError(f"episodes: {episodes}, must be at least 1")
     rng = np.random.default_rng(seed)
     model, horizon = environment.model(), environment.horizon
-    controllers = getattr(policy, "controllers", None)
-    belief = getattr(policy, "policy", None)
-    if model is not None and horizon is not None and belief is not None and not deterministic:
-        return _simulate_belief(belief, model, horizon, episodes, rng)
-    if model is None or horizon is None or controllers is None or deterministic:
-        found = _simulate(policy, environment, episodes, rng, deterministic)
-        return replace(found, exact=_greedy_value(policy, model, deterministic))
-    return _simulate_compiled(controllers, model, horizon, episodes, rng)
+    if model is not None and horizon is not None and not deterministic:
+        if isinstance(policy, BeliefAgent):
+            return _simulate_belief(policy.policy, model, horizon, episodes, rng)
+        if isinstance(policy, ControllerAgent):
+            return _simulate_compiled(policy.controllers, model, horizon, episodes, rng)
+    found = _simulate(policy, environment, episodes, rng, deterministic)
+    return replace(found, exact=_greedy_value(policy, model, deterministic))
 
 
 def _simulate_belief(
-    policy: Any, model: TabularModel, horizon: int, episodes: int, rng: np.random.Generator
+    policy: BeliefPolicy, model: TabularModel, horizon: int, episodes: int, rng: np.random.Generator
 ) -> Evaluation:
-    from bnprl_agents.belief.rollout import belief_rollout  # imports numba
-
     batch = belief_rollout(model, policy, episodes=episodes, horizon=horizon, rng=rng)
     return Evaluation(batch.returns(model.discount), batch.lengths, batch.returns(1.0))
 
 
 def _simulate_compiled(
-    controllers: Any, model: TabularModel, horizon: int, episodes: int, rng: np.random.Generator
+    controllers: tuple[Controller, ...],
+    model: TabularModel,
+    horizon: int,
+    episodes: int,
+    rng: np.random.Generator,
 ) -> Evaluation:
-    from bnprl_agents.controllers.scoring import simulated_scores  # imports numba
-    from bnprl_agents.controllers.value import controller_value
-
     found = simulated_scores(
         model,
         controllers,
@@ -123,14 +130,12 @@ def _simulate_compiled(
     return Evaluation(found.returns, found.lengths, found.rewards, exact)
 
 
-def _greedy_value(policy: Any, model: TabularModel | None, deterministic: bool) -> float | None:
+def _greedy_value(policy: Policy, model: TabularModel | None, deterministic: bool) -> float | None:
     """Return the exact value of a policy that is greedy by the values of states."""
     if model is None or not model.fully_observed or model.discount == 1.0:
         return None
-    if deterministic or not hasattr(policy, "greedy_policy"):
+    if deterministic or not isinstance(policy, ValueAgent):
         return None
-    from bnprl_envs.planning import policy_value
-
     return policy_value(model, policy.greedy_policy(np.arange(model.n_states)))
 
 

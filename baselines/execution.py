@@ -29,8 +29,8 @@ from bnprl_agents.training import Progress
 
 OWNER_SECONDS = 0.2
 """Time between two looks of a worker at whether its owner lives."""
-WARM_UP_EPISODES = 8
-"""Enough for a first update of the learners that compile much."""
+WARM_UP_STEPS = 4096
+"""Enough for a first update of the learners that compile much: 256 steps in each of 16 copies."""
 
 
 @dataclass(frozen=True)
@@ -156,7 +156,7 @@ def run_one(run: Run) -> None:
             build_learner, entry.learner, experiment.environment, entry.build_settings(), seed
         )
         if entry.learner.family != "sb3":
-            _warm_up(build())
+            _warm_up(build(), min(WARM_UP_STEPS, experiment.steps or WARM_UP_STEPS))
         with scalar_writer(logs) as board:
             try:
                 _Course(run, build(logs), log, board).follow()
@@ -164,10 +164,12 @@ def run_one(run: Run) -> None:
                 files.progress.unlink(missing_ok=True)
 
 
-def _warm_up(learner: Learner) -> None:
-    """Let a learner to be thrown away compile, so that the seconds measured are of learning."""
-    for _ in learner.learn(episodes=WARM_UP_EPISODES):
-        pass
+def _warm_up(learner: Learner, steps: int) -> None:
+    """Let a learner to be thrown away compile, so that the seconds measured are of learning.
+
+    It compiles until its first update, which may not come within so many steps.
+    """
+    any(progress.metrics for progress in learner.learn(steps=steps))
 
 
 class _Course:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import difflib
 import hashlib
@@ -120,19 +121,32 @@ def configured_entries(names: Sequence[str], assignments: Sequence[str]) -> tupl
 
 
 def _setting(text: str, value: str, default: Any) -> Any:
-    """Return a setting's value as what its default is: a number, a truth value or a word."""
-    if default is None or isinstance(default, str):
-        return value
+    """Return a setting's value as what its default is; one of None or a word may be a number."""
     try:
         if isinstance(default, bool):
             return {"true": True, "false": False}[value.lower()]
         if isinstance(default, list):
-            return [float(part) for part in value.strip("[]").split(",") if part.strip()]
+            parts = [part.strip() for part in value.strip("[]").split(",") if part.strip()]
+            return [_number(part, default[0] if default else 0.0) for part in parts]
+        if default is None or isinstance(default, str):
+            with contextlib.suppress(ValueError):
+                return _number(value, 0)
+            return value
         return type(default)(value)
     except (ValueError, KeyError):
         wanted = {bool: "true or false", int: "a whole number", float: "a number"}
         kind = wanted.get(type(default), "a list of numbers, as in .1,.2")
         raise ValueError(f"--set {text}: {value!r} must be {kind}") from None
+
+
+def _number(text: str, like: Any) -> Any:
+    """Return a number, whole if it is written so and `like` is whole; a word if `like` is one."""
+    if isinstance(like, str):
+        return text
+    if isinstance(like, int):
+        with contextlib.suppress(ValueError):
+            return int(text)
+    return float(text)
 
 
 @dataclass(frozen=True)

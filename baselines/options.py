@@ -171,6 +171,8 @@ class Plot:
     """Picture (PNG); beside the policy file if not given."""
     env: str | None = None
     """Environment id, for a policy file outside such a folder."""
+    agent: str | None = None
+    """MODULE:CLASS of the policy, where that is an agent of your own."""
 
 
 @dataclass(frozen=True)
@@ -200,6 +202,8 @@ class Watch:
     """Environment id, or path of a .POMDP or .dpomdp file."""
     policy: Path | None = None
     """Policy file that `train` or `compare` wrote; uniformly random actions if not given."""
+    agent: str | None = None
+    """MODULE:CLASS of the policy, where that is an agent of your own."""
     gif: Path | None = None
     """Write this animation instead of printing text."""
     human: bool = False

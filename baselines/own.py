@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib
 import os
 import sys
@@ -37,7 +38,8 @@ def agent_class(name: str) -> Any:
     """Return the agent of "module:class".
 
     Raises:
-        ValueError: there is none, or it is no whole subclass of `bnprl_agents.Agent`.
+        ValueError: there is none, or it is no whole subclass of `bnprl_agents.Agent`, or its
+            `Config` is no dataclass with defaults.
     """
     from bnprl_agents.agent import Agent
 
@@ -49,4 +51,13 @@ def agent_class(name: str) -> Any:
         raise ValueError(f"{name}: {attribute} is no subclass of bnprl_agents.Agent")
     if missing := sorted(getattr(found, "__abstractmethods__", ())):
         raise ValueError(f"{name}: {attribute} lacks {', '.join(missing)}")
+    _check_config(name, getattr(found, "Config", None))
     return found
+
+
+def _check_config(name: str, config: Any) -> None:
+    if not (isinstance(config, type) and dataclasses.is_dataclass(config)):
+        raise ValueError(f"{name}: its Config must be a dataclass")
+    for field in dataclasses.fields(config):
+        if field.init and field.default is field.default_factory is dataclasses.MISSING:
+            raise ValueError(f"{name}: its Config needs a default of {field.name}")

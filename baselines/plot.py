@@ -15,6 +15,7 @@ from baselines.learners import load_policy
 from baselines.records import Record, read_records
 from baselines.study import load_study, trusted_environment
 from baselines.usage import usage_errors
+from bnprl_agents.controllers.learner import ControllerAgent
 from bnprl_agents.value_learner import ValueAgent
 
 if TYPE_CHECKING:
@@ -27,11 +28,11 @@ COMPASS_WORLDS = ("bnprl/Gridworld-v0", "bnprl/PuddleWorld-v0")
 def plot(options: Plot) -> int:
     """Draw learned values or controllers beside the policy file; return the exit code."""
     with usage_errors():
-        policy: Any = load_policy(options.file)
+        policy = load_policy(options.file, options.agent)
         environment = _environment(options)
         if isinstance(policy, ValueAgent):
             picture = _values(policy, environment)
-        elif getattr(policy, "controllers", None):
+        elif isinstance(policy, ControllerAgent):
             picture = _controllers(policy, environment, options.file)
         else:
             raise ValueError(
@@ -78,7 +79,7 @@ def _names(environment: EnvironmentSpec) -> tuple[Sequence[str], Sequence[str]]:
         return getattr(made, "state_names", ()), getattr(made, "action_names", ())
 
 
-def _controllers(policy: Any, environment: EnvironmentSpec | None, file: Path) -> bytes:
+def _controllers(policy: ControllerAgent, environment: EnvironmentSpec | None, file: Path) -> bytes:
     model = None if environment is None else environment.model()
     if environment is None or model is None:
         raise ValueError(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import sys
 import time
 from collections.abc import Iterator
@@ -12,13 +13,15 @@ from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 import numpy as np
+import pettingzoo
 from tqdm import tqdm
 
-from baselines.environment import EnvironmentSpec
+from baselines.environment import EnvironmentSpec, made_elsewhere
 from baselines.evaluation import Policy
 from baselines.learners import load_policy
 from baselines.usage import usage_errors
 from baselines.watch_pictures import beside, beside_as_text, write_gif
+from bnprl_agents.history_agent import PolicyState
 from bnprl_envs import registry
 from bnprl_envs.model import TabularModel
 from bnprl_envs.planning import belief_update
@@ -85,7 +88,7 @@ def watch(options: Watch) -> int:
         environment = EnvironmentSpec(options.id)
         env = make_env(environment, mode)
         rng = np.random.default_rng(options.seed)
-        policy = _policy(options.policy, env, rng)
+        policy = _policy(options, env, rng)
         model = _known_model(env) if options.belief else None
     sights = _sights(env, policy, environment.discount, model, options, rng)
     with contextlib.closing(env), usage_errors():
@@ -103,14 +106,12 @@ def make_env(environment: EnvironmentSpec, mode: str) -> Any:
     """Make one copy of an environment to look at: PettingZoo's of a team, else Gymnasium's.
 
     Raises:
-        ValueError: there is no such environment, or it cannot be looked at in this mode.
+        ValueError: there is no such environment, or it cannot be made or looked at in this mode.
         OSError: the model file cannot be read.
     """
     if environment.id in registry.environment_ids():
         if not registry.entry(environment.id).kind.startswith("parallel"):
             return gym.make(environment.id, render_mode=mode)
-        import pettingzoo
-
         return pettingzoo.make("parallel", environment.id, render_mode=mode)
     if (model := environment.model()) is not None:
         from bnprl_envs.tabular import TabularEnv
@@ -118,9 +119,15 @@ def make_env(environment: EnvironmentSpec, mode: str) -> Any:
 
         view = TabularEnv if model.n_agents == 1 else TabularParallelEnv
         return view(model, max_episode_steps=environment.horizon, render_mode=mode)
-    if mode not in (modes := gym.make(environment.id).metadata["render_modes"]):
-        raise ValueError(f"{environment.id} renders as {', '.join(modes) or 'nothing'}, not {mode}")
-    return gym.make(environment.id, render_mode=mode)
+    make = functools.partial(gym.make, environment.name)
+    if environment.has_several_agents():
+        make = functools.partial(pettingzoo.make, "parallel", environment.name)
+    with made_elsewhere(environment.id):
+        with contextlib.closing(make()) as env:
+            modes = env.metadata.get("render_modes", ())
+        if mode in modes:
+            return make(render_mode=mode)
+    raise ValueError(f"{environment.id} renders as {', '.join(modes) or 'nothing'}, not {mode}")
 
 
 def _check(options: Watch) -> None:
@@ -131,6 +138,8 @@ def _check(options: Watch) -> None:
     ):
         if value is not None and value < least:
             raise ValueError(f"--{name}: {value}, must be at least {least}")
+    if options.agent is not None and options.policy is None:
+        raise ValueError(f"--agent: {options.agent}, of what policy? give --policy FILE too")
     if options.gif is not None and options.human:
         raise ValueError("--gif, --human: give one of them")
     if options.gif is not None and options.gif.suffix.lower() != ".gif":
@@ -143,10 +152,10 @@ def _check(options: Watch) -> None:
         import_pygame()
 
 
-def _policy(path: Path | None, env: Any, rng: np.random.Generator) -> Policy:
-    if path is None:
+def _policy(options: Watch, env: Any, rng: np.random.Generator) -> Policy:
+    if options.policy is None:
         return RandomPolicy(env, rng)
-    policy: Any = load_policy(path)
+    policy: Any = load_policy(options.policy, options.agent)
     for kind in ("observation", "action"):
         made_for, here = getattr(policy, f"{kind}_space", None), _spaces(env, kind)
         if made_for is not None and made_for != here:
@@ -161,7 +170,8 @@ def _policy(path: Path | None, env: Any, rng: np.random.Generator) -> Policy:
 
 def _spaces(env: Any, kind: str) -> Any:
     """Return the space of one agent, or a dict of those of all agents."""
-    return getattr(env, f"{kind}_spaces" if hasattr(env, "possible_agents") else f"{kind}_space")
+    space = getattr(env, f"{kind}_space")
+    return {a: space(a) for a in env.possible_agents} if hasattr(env, "possible_agents") else space
 
 
 def _known_model(env: Any) -> TabularModel:
@@ -170,8 +180,8 @@ def _known_model(env: Any) -> TabularModel:
     Raises:
         ValueError: there is none, it has several agents, or its state is seen.
     """
-    model: TabularModel | None = getattr(env.unwrapped, "model", None)
-    if model is None or model.n_agents > 1 or model.fully_observed:
+    model = getattr(env.unwrapped, "model", None)
+    if not isinstance(model, TabularModel) or model.n_agents > 1 or model.fully_observed:
         raise ValueError("--belief needs one agent that sees its known model only in part")
     return model
 
@@ -215,8 +225,9 @@ def _step(env: Any, action: Any) -> tuple[Any, float, bool]:
 
 def _nodes(state: Any) -> tuple[FloatArray, ...]:
     """Return the node distributions (Z,) in the state that a controller's `predict` returned."""
-    belief = getattr(state, "belief", ())
-    beliefs = (belief,) if isinstance(belief, np.ndarray) else belief
+    if not isinstance(state, PolicyState):
+        return ()
+    beliefs = (state.belief,) if isinstance(state.belief, np.ndarray) else state.belief
     return tuple(each[0] for each in beliefs)
 
 

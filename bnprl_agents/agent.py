@@ -225,6 +225,6 @@ def _class_of(name: str, own: type[Agent] | None) -> type[Agent]:
     if own is not None and own.__name__ == name:
         return own
     if name not in AGENT_CLASSES:
-        raise ValueError(f"unknown agent {name!r}")
+        raise ValueError(f"unknown agent {name!r}; the class of an agent of your own must be given")
     found: type[Agent] = getattr(importlib.import_module(AGENT_CLASSES[name]), name)
     return found

@@ -29,6 +29,8 @@ class FakeSettings:
     """Whether training fails halfway."""
     shape: tuple[int, ...] = (4, 2)
     """A setting that JSON holds as a list."""
+    limit: float | str | None = None
+    """A setting whose default does not tell its type."""
 
 
 class FakeLearner:

@@ -92,6 +92,26 @@ class Painters(Pair):
         self.spaces["right"] = (Box(0.0, 1.0, (2, 2)), Discrete(4))
 
 
+class Drawn(Pair):
+    """Can be looked at."""
+
+    metadata: dict[str, Any] = {"name": "drawn", "render_modes": ["ansi"]}  # noqa: RUF012
+
+    def __init__(self, max_cycles: int = 4, render_mode: str | None = None) -> None:
+        super().__init__(max_cycles)
+        self.render_mode = render_mode
+
+    def render(self) -> str:
+        return f"{self.render_mode} after {self.elapsed} of {self.max_cycles} steps"
+
+
+class Broken(Pair):
+    """Cannot be made."""
+
+    def __init__(self, max_cycles: int = 4) -> None:
+        raise RuntimeError("out of paint")
+
+
 class Alone(pettingzoo.ParallelEnv):
     """A Gymnasium environment as a team of one, truncated after 5 steps."""
 
@@ -118,6 +138,6 @@ class Alone(pettingzoo.ParallelEnv):
         return {"only": seen}, {"only": reward}, {"only": ended}, {"only": cut}, {"only": info}
 
 
-for cls in (Pair, Rivals, Leavers, Latecomers, Painters):
+for cls in (Pair, Rivals, Leavers, Latecomers, Painters, Drawn, Broken):
     if f"test/{cls.__name__}-v0" not in pettingzoo.parallel_registry:
         pettingzoo.register("parallel", f"test/{cls.__name__}-v0", cls, max_cycles=4)

@@ -269,7 +269,7 @@ def test_folders_and_files_that_are_not_what_they_should_be(
     assert "no such file or folder" in refused(capsys, "evaluate", str(tmp_path / "none"))
     assert "holds no experiment" in refused(capsys, "evaluate", str(tmp_path))
     assert "holds no experiment" in refused(capsys, "report", str(tmp_path))
-    assert "holds no experiment" in refused(capsys, "report", str(tmp_path / "none"))
+    assert "there is no such folder" in refused(capsys, "report", str(tmp_path / "none"))
     assert not (tmp_path / "none").exists()
     assert "--episodes: 0" in refused(capsys, "evaluate", str(tmp_path), "--episodes", "0")
     study = tmp_path / "study"

@@ -75,6 +75,12 @@ class Still:
         return np.zeros(len(observation), dtype=np.int64), state
 
 
+class Namesake(Still):
+    """Has what this suite's agents call so, but means something else."""
+
+    policy = controllers = greedy_policy = np.zeros((5, 5))
+
+
 class OnlyPredict:
     """Hides a controller agent's controllers, so that its `predict` is run step by step."""
 
@@ -163,6 +169,14 @@ def test_compiled_and_stepwise_evaluation_agree_with_the_exact_value() -> None:
 def test_deterministic_controllers_are_another_policy_and_have_no_exact_value() -> None:
     result = evaluate(controller_agent(), HALLWAY, episodes=50, seed=1, deterministic=True)
     assert result.exact is None
+
+
+@pytest.mark.parametrize("id", ["bnprl/Hallway-v0", "bnprl/Gridworld-v0"])
+def test_an_agent_of_ones_own_may_have_any_attributes(id: str) -> None:
+    environment = EnvironmentSpec(id)
+    result = evaluate(Namesake(), environment, episodes=5, seed=0)
+    assert result.exact is None
+    assert (result.returns == evaluate(Still(), environment, episodes=5, seed=0).returns).all()
 
 
 @pytest.mark.parametrize("hidden", [False, True])

@@ -5,20 +5,25 @@ import json
 import logging
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
+import gymnasium as gym
 import pytest
+from gymnasium.envs.registration import EnvSpec
 
 from baselines import evaluation
-from baselines.contenders import MissingExtraError
+from baselines.contenders import MissingExtraError, contender
 from baselines.environment import EnvironmentSpec
-from baselines.execution import execute
+from baselines.execution import WARM_UP_STEPS, _warm_up, execute
 from baselines.experiment import Entry, Experiment, configured_entries
+from baselines.learners import build_learner
 from baselines.progress_bar import STARTING, budget_used, progress_bar
 from baselines.records import RecordError, RunFiles
 from baselines.study import load_study, open_study
 from baselines.workers import Workers
+from bnprl_agents.training import Progress
 from tests.baselines.fakes import FakeSettings, experiment, fake_evaluate, install
 
 
@@ -71,6 +76,56 @@ def test_a_finished_run_without_its_policy_is_done_again(tmp_path: Path) -> None
     assert policy.read_bytes() == b"fake"
     assert values(tmp_path) == before
     assert RunFiles(tmp_path, "fake", 1).records.stat().st_mtime_ns == kept
+
+
+class Endless(gym.Env[int, int]):
+    """Its episodes never end; nobody should wait for that."""
+
+    observation_space: ClassVar[Any] = gym.spaces.Discrete(2)
+    action_space: ClassVar[Any] = gym.spaces.Discrete(2)
+
+    def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[int, dict[str, Any]]:
+        self.elapsed = 0
+        return 0, {}
+
+    def step(self, action: int) -> tuple[int, float, bool, bool, dict[str, Any]]:
+        self.elapsed += 1
+        assert self.elapsed < 1000
+        return 0, 1.0, False, False, {}
+
+
+def test_episodes_that_never_end_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("baselines.execution.evaluate", evaluation.evaluate)
+    monkeypatch.setattr(evaluation, "LONGEST", 10)
+    monkeypatch.setitem(gym.registry, "Endless-v0", EnvSpec("Endless-v0", entry_point=Endless))
+    chosen = experiment(Entry.of("random"), seeds=1, episodes=None, steps=100)
+    (failed,) = run(
+        tmp_path, dataclasses.replace(chosen, environment=EnvironmentSpec("Endless-v0"))
+    )
+    assert failed.failure().startswith("ValueError: Endless-v0: an episode of 10 steps has not")
+
+
+@pytest.mark.parametrize(
+    ("name", "id"),
+    [
+        ("online-em", "bnprl/Hallway-v0"),
+        ("batch-em", "FrozenLake-v1"),
+        ("gpq", "bnprl/InvertedPendulum-v0"),
+        ("gp-fitted-q", "bnprl/InvertedPendulum-v0"),
+    ],
+)
+def test_a_warm_up_ends_with_the_first_update(name: str, id: str) -> None:
+    learner, seen = build_learner(contender(name), EnvironmentSpec(id), None, seed=0), []
+    learn = learner.learn
+
+    def follow(**budget: Any) -> Iterator[Progress]:
+        for progress in learn(**budget):
+            seen.append(progress)
+            yield progress
+
+    learner.learn = follow  # type: ignore[method-assign]
+    _warm_up(learner, WARM_UP_STEPS)
+    assert [bool(progress.metrics) for progress in seen] == [True]
 
 
 def test_a_budget_of_steps_counts_steps(tmp_path: Path) -> None:
@@ -236,6 +291,14 @@ def test_settings_are_assigned_by_name() -> None:
     assert entry.build_settings() == FakeSettings(gain=3.0)
     (gpq,) = configured_entries(["gpq"], ["gpq.noise=.5", "gpq.low=[-.1]"])
     assert (gpq.settings["noise"], gpq.settings["low"]) == (0.5, [-0.1])
+    sizes = configured_entries(["fake"], ["fake.shape=8,16"])[0].build_settings().shape
+    assert (sizes, [type(size) for size in sizes]) == ((8, 16), [int, int])
+    for text, value in (("0.5", 0.5), ("2", 2), ("none", "none")):
+        (entry,) = configured_entries(["fake"], [f"fake.limit={text}"])
+        assert entry.settings["limit"] == value
+    for text, number in (("0.1", 0.1), ("auto", "auto")):
+        (entry,) = configured_entries(["gp-fitted-q"], [f"gp-fitted-q.regularization={text}"])
+        assert entry.build_settings().regularization == number
     with pytest.raises(ValueError, match=r"gpq.bandwidth=.1,x: '.1,x' must be a list of numbers"):
         configured_entries(["gpq"], ["gpq.bandwidth=.1,x"])
     with pytest.raises(ValueError, match="given twice"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 
 import gymnasium as gym
@@ -15,7 +16,7 @@ from baselines.experiment import Entry, Experiment
 from baselines.records import RunFiles, open_log
 from baselines.study import open_study
 from bnprl_agents import RandomAgent, load
-from examples.my_agent import Sarsa
+from examples.my_agent import Sarsa, SarsaConfig
 from tests.baselines.fakes import record
 
 OWN = "examples.my_agent:Sarsa"
@@ -40,6 +41,15 @@ def test_an_own_agent_is_trained_set_evaluated_and_loaded(
     assert main([*evaluate, "--agent", OWN]) == 0
     assert main(evaluate) == 1
     assert "unknown agent 'Sarsa'" in capsys.readouterr().err
+    for command in (["watch", "bnprl/CheeseMaze-v0", "--policy"], ["plot"]):
+        assert main([*command, str(policy)]) == 2
+        assert "unknown agent 'Sarsa'" in capsys.readouterr().err
+    watch = ["watch", "bnprl/CheeseMaze-v0", "--steps", "1", "--agent", OWN]
+    assert main([*watch, "--policy", str(policy)]) == 0
+    assert main(watch) == 2
+    assert "give --policy FILE too" in capsys.readouterr().err
+    assert main(["plot", str(policy), "--agent", OWN]) == 2
+    assert "holds neither action values nor controllers" in capsys.readouterr().err
     train = ["train", "bnprl/CheeseMaze-v0", "--agent", OWN, "--rate", "0.5", *SMALL]
     assert main([*train, "--out", str(tmp_path / "one")]) == 0
 
@@ -59,6 +69,60 @@ def test_what_is_no_agent_is_named(
     compare = ["compare", "bnprl/CheeseMaze-v0", "--agents", name, *SMALL]
     assert main([*compare, "--out", str(tmp_path / "out")]) == 2
     assert reason in capsys.readouterr().err
+
+
+@dataclass(frozen=True)
+class SeededConfig(SarsaConfig):
+    """`train` has a seed of its own."""
+
+    seed: int = 1
+
+
+@dataclass(frozen=True)
+class NeedyConfig:
+    """Has no default."""
+
+    need: int
+
+
+Seeded = type("Seeded", (Sarsa,), {"Config": SeededConfig})
+Needy = type("Needy", (Sarsa,), {"Config": NeedyConfig})
+Plain = type("Plain", (Sarsa,), {"Config": dict})
+
+
+@pytest.mark.parametrize(
+    ("agent", "reason"),
+    [
+        ("Seeded", "its setting seed has the name of an option of train; rename it"),
+        ("Needy", "its Config needs a default of need"),
+        ("Plain", "its Config must be a dataclass"),
+    ],
+)
+def test_settings_that_cannot_be_flags_are_named(
+    agent: str, reason: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    name = f"{__name__}:{agent}"
+    train = ["train", "bnprl/CheeseMaze-v0", "--agent", name, *SMALL, "--out", str(tmp_path)]
+    assert main(train) == 2
+    shown = capsys.readouterr().err
+    assert f"{name}: {reason}" in shown
+    assert shown.count("\n") == 1
+
+
+@dataclass
+class ThawedConfig:
+    """Not frozen."""
+
+    rate: float = 0.1
+    epsilon: float = 0.1
+
+
+Thawed = type("Thawed", (Sarsa,), {"Config": ThawedConfig})
+
+
+def test_settings_need_not_be_frozen(tmp_path: Path) -> None:
+    train = ["train", "bnprl/CheeseMaze-v0", "--agent", f"{__name__}:Thawed", "--rate", "0.5"]
+    assert main([*train, *SMALL, "--out", str(tmp_path)]) == 0
 
 
 class Spaceless(gym.Env[int, int]):

@@ -270,6 +270,7 @@ def test_a_users_own_team_is_compared_by_its_module(tmp_path: Path) -> None:
         ("test/Latecomers-v0", "agents must not come and go"),
         ("test/Painters-v0", "test/Painters-v0: observation space of right"),
         ("no.such.module:Team-v0", "no.such.module:Team-v0: cannot import no.such.module"),
+        ("test/Broken-v0", "test/Broken-v0: cannot be made: RuntimeError: out of paint ("),
         ("test/Pairs-v0", "did you mean test/Pair-v0"),
     ],
 )

@@ -17,6 +17,7 @@ from baselines.watch import make_env
 from baselines.watch_pictures import beside, beside_as_text
 from bnprl_agents.random_agent import RandomAgent
 from bnprl_envs.rendering import FRAME_SHAPE
+from tests.baselines import pairs
 
 TIGER, DEC_TIGER, HALLWAY = "bnprl/Tiger-v0", "bnprl/DecTiger-v0", "bnprl/Hallway-v0"
 
@@ -135,6 +136,14 @@ def test_environments_of_others(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert "FHFH" in text_of(capsys, "FrozenLake-v1", "--steps", "1")
     with pytest.raises(ValueError, match="did you mean bnprl/Tiger-v0"):
         make_env(EnvironmentSpec("bnprl/Tigr-v0"), "ansi")
+
+
+def test_teams_of_others(capsys: pytest.CaptureFixture[str]) -> None:
+    shown = text_of(capsys, f"{pairs.__name__}:test/Drawn-v0")
+    assert [f"ansi after {step} of 4 steps" in shown for step in range(6)] == [True] * 5 + [False]
+    assert refused(capsys, "test/Pair-v0") == "test/Pair-v0 renders as nothing, not ansi"
+    broken = refused(capsys, "test/Broken-v0")
+    assert broken.startswith("test/Broken-v0: cannot be made: RuntimeError: out of paint (")
 
 
 @pytest.mark.parametrize(
