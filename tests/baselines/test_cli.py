@@ -17,10 +17,10 @@ from baselines.cli import main
 from baselines.contenders import CONTENDERS
 from baselines.experiment import Entry
 from baselines.files import folder_lock
-from baselines.records import RunFiles, read_records
+from baselines.records import RunFiles, open_log, read_records
 from baselines.study import open_study
 from bnprl_agents import RandomAgent
-from tests.baselines.fakes import experiment, install
+from tests.baselines.fakes import experiment, install, record
 from tests.baselines.interruption import ROOT, command, finish, kill_after, lines, summary
 
 HALLWAY = "bnprl/Hallway-v0"
@@ -277,8 +277,10 @@ def test_folders_and_files_that_are_not_what_they_should_be(
     open_study(study, experiment(Entry.of("random")), "command")
     assert "holds no policy of a finished run yet" in refused(capsys, "evaluate", str(study))
     for seed in (0, 1):
-        policy = RunFiles(study, "random", seed).policy(".npz")
-        policy.parent.mkdir(parents=True, exist_ok=True)
+        files = RunFiles(study, "random", seed)
+        with open_log(files.records) as log:
+            log.append(record(contender="random", seed=seed))
+        policy = files.policy(".npz")
         RandomAgent(Discrete(22), Discrete(5), discount=0.95, seed=seed).save(policy)
     policy.write_bytes(b"damaged")
     assert main(["evaluate", str(study), "--episodes", "10", "--no-progress"]) == 1
