@@ -57,7 +57,8 @@ class ControllerSearch(ControllerAgent):
         elites: refined teams, best first.
         restarts: climbed restarts and walks that wait for refinement, best first.
         walks: where the walk within each memory has come, best first.
-        climbed: restarts and walks so far; refinement begins after `candidates` of them.
+        known_again: how many of the last restarts and walks came to known values only. Refinement
+            waits for `candidates` restarts, or for so many that bring nothing new.
         spent: simulated steps of each activity.
     """
 
@@ -85,7 +86,7 @@ class ControllerSearch(ControllerAgent):
         self.restarts = Leaderboard.empty(self.roles, *sizes)
         self.walks = Leaderboard.empty(self.roles, *sizes)
         self.elites = Leaderboard.empty(self.roles, *sizes)
-        self.climbed = 0
+        self.known_again = 0
         self.spent = dict.fromkeys(SHARES, 0)
 
     @property
@@ -183,7 +184,8 @@ class ControllerSearch(ControllerAgent):
         possible = ["explore"]
         if self.role_actions.size == self.roles.size:  # agents that share tables cannot respond
             possible.append("walk")
-        if self.restarts.values.size and self.climbed >= self.config.candidates:
+        full = self.restarts.values.size == self.config.candidates
+        if full or (self.restarts.values.size and self.known_again >= self.config.candidates):
             possible.append("refine")
         if self.elites.values.size:
             possible.append("polish")
@@ -217,8 +219,9 @@ class ControllerSearch(ControllerAgent):
     def _keep(self, simulator: TeamSimulator, team: DecisionTables, label: int) -> None:
         """Judge a climbed restart; keep it if it is among the best."""
         value = self._judged(simulator, team, self.config.judge_seeds // 8)
-        self.restarts = self.restarts.added(team, value, label, self.config.candidates)
-        self.climbed += 1
+        restarts = self.restarts.added(team, value, label, self.config.candidates)
+        self.known_again = self.known_again + 1 if restarts is self.restarts else 0
+        self.restarts = restarts
 
     def _refine(self, simulator: TeamSimulator, limit: int) -> None:
         """Climb everything of the best restart, which leaves the restarts."""
@@ -303,8 +306,8 @@ class ControllerSearch(ControllerAgent):
         return super().state_arrays() | own | boards
 
     def counters(self) -> dict[str, Any]:
-        """How many restarts were climbed, and the steps spent on each activity."""
-        return {"climbed": self.climbed, "spent": self.spent}
+        """How many restarts brought nothing new, and the steps spent on each activity."""
+        return {"known_again": self.known_again, "spent": self.spent}
 
     def restore(self, arrays: Arrays, counters: dict[str, Any]) -> None:
         """Take over a saved state; see `Agent.restore`."""
@@ -313,5 +316,5 @@ class ControllerSearch(ControllerAgent):
         self.restarts = self.restarts.restored("restarts", arrays, self.role_actions)
         self.walks = self.walks.restored("walks", arrays, self.role_actions)
         self.elites = self.elites.restored("elites", arrays, self.role_actions)
-        self.climbed = int(counters["climbed"])
+        self.known_again = int(counters["known_again"])
         self.spent = {name: int(counters["spent"][name]) for name in SHARES}

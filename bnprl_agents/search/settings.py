@@ -27,7 +27,7 @@ class ControllerSearchConfig(Settings):
     judge_seeds: int = 4096
     """Episodes on which finished climbs are compared; restarts by an eighth of them."""
     candidates: int = 16
-    """Best restarts that are kept for refinement, which begins after as many were climbed."""
+    """Best restarts that are kept for refinement, which waits for so many."""
     elites: int = 4
     """Best refined teams that are kept for polishing."""
     patience: int = 1024
