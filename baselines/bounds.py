@@ -58,7 +58,8 @@ def print_bounds(options: Bounds) -> int:
             raise ValueError(f"--seed: {options.seed}, must be at least 0")
         lines, discount = _lines(options)
     values = {line: _compute(line, options) for line in lines}
-    print(f"{options.id}: expected discounted return, discount {discount:g}")
+    errors = ", ± standard errors" if any("simulated" in line.kind for line in lines) else ""
+    print(f"{options.id}: expected discounted return, discount {discount:g}{errors}")
     _print_table(_table(values, _references(options.id, discount)))
     return 0
 

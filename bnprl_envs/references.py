@@ -184,7 +184,7 @@ REFERENCES: dict[str, tuple[Reference, ...]] = {
     "bnprl/GridTraffic-v0": (
         Reference("random", 0.159778, _ONE_QUEUE),
         Reference("always horizontal", 45.0, _ONE_QUEUE),
-        Reference("longer queue", 26.36, _SIMULATED.format("hand_coded.follow_longer_queue", 0.02)),
+        Reference("longer queue", 26.31, _SIMULATED.format("hand_coded.follow_longer_queue", 0.01)),
         Reference("lower", 73.205503, _ONE_QUEUE),
     ),
 }
