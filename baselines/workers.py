@@ -6,6 +6,7 @@ import contextlib
 import importlib
 import logging
 import os
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, TypeVar
@@ -100,6 +101,8 @@ def _backend(workers: Workers, n_items: int) -> Iterator[None]:
         with _ray_cluster(workers.address, jobs), joblib.parallel_config("ray", n_jobs=everywhere):
             yield
     else:
+        # loky renews a worker whose memory has grown, and goes on
+        warnings.filterwarnings("ignore", "A worker stopped while some jobs")
         with joblib.parallel_config("loky", n_jobs=jobs, inner_max_num_threads=1):
             yield
 
