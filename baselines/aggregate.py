@@ -53,7 +53,10 @@ def aggregate(options: Aggregate) -> int:
         write_atomic(options.out / "report.html", page(summary, light, dark))
     print(caption(summary))
     print_table(table(summary))
-    print_table(pair_table(summary["pairs"])) if summary["pairs"] else print(NO_PAIRS)
+    if summary["pairs"]:
+        print_table(pair_table(summary["pairs"]))
+    else:
+        print(NO_PAIRS)
     print(f"performance profiles: {options.out / 'profiles.png'}")
     print(f"report: {options.out / 'report.html'}")
     return 0

@@ -1,5 +1,7 @@
 """Small episodes and models that several tests share."""
 
+import json
+
 import numpy as np
 
 from bnprl_agents.controllers.controller import Controller, random_controller
@@ -63,3 +65,14 @@ def copying_model(discount=0.9):
         reward[action, action] = 1.0
     sight = np.broadcast_to(np.eye(2), (2, 2, 2))
     return TabularModel(transition, sight, reward, [0.5, 0.5], discount)
+
+
+def rewritten(path, change):
+    """A policy file with its arrays and its description changed by `change(arrays, meta)`."""
+    with np.load(path) as archive:
+        arrays = dict(archive)
+    meta = json.loads(arrays["meta"].tobytes())
+    change(arrays, meta)
+    arrays["meta"] = np.frombuffer(json.dumps(meta).encode(), dtype=np.uint8)
+    np.savez(path, **arrays)
+    return path

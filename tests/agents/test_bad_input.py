@@ -25,6 +25,7 @@ from bnprl_agents.q_learning.linear_q import LinearQ, LinearQConfig
 from bnprl_agents.q_learning.tabular_q import TabularQ
 from bnprl_agents.random_agent import RandomAgent
 from bnprl_agents.search.controller_search import ControllerSearch
+from tests.agents.cases import rewritten
 
 ONE = gym.spaces.Discrete(3), gym.spaces.Discrete(2)
 TEAM = tuple({"ada": space, "bob": space} for space in ONE)
@@ -191,21 +192,10 @@ def test_a_grid_of_many_cells_takes_no_memory_before_it_is_looked_at():
         Features(gym.spaces.Discrete(4 * 10**7), grid_columns=5).points  # noqa: B018
 
 
-def changed(path, change):
-    """Rewrite a policy file with its arrays and description changed."""
-    with np.load(path) as archive:
-        arrays = dict(archive)
-    meta = json.loads(arrays["meta"].tobytes())
-    change(arrays, meta)
-    arrays["meta"] = np.frombuffer(json.dumps(meta).encode(), dtype=np.uint8)
-    np.savez(path, **arrays)
-    return path
-
-
 def test_a_small_file_does_not_take_much_memory(tmp_path):
     path = tmp_path / "policy.npz"
     BatchEM(*ONE, BatchEMConfig(nodes=2), discount=0.9, seed=0).save(path)
-    changed(path, lambda arrays, meta: meta["config"].update(nodes=20_000))
+    rewritten(path, lambda arrays, meta: meta["config"].update(nodes=20_000))
     tracemalloc.start()
     with pytest.raises(PolicyFileError, match=r"nodes: asks for a table"):
         load(path)
@@ -218,7 +208,7 @@ def test_a_small_file_does_not_take_much_memory(tmp_path):
 def test_numbers_that_are_none_in_a_policy_file(tmp_path, value):
     path = tmp_path / "policy.npz"
     PredictiveActorCritic(*ONE, discount=0.9, seed=0).save(path)
-    changed(path, lambda arrays, meta: arrays["logits_action"].flat.__setitem__(0, value))
+    rewritten(path, lambda arrays, meta: arrays["logits_action"].flat.__setitem__(0, value))
     with pytest.raises(PolicyFileError, match=r"logits_action.* holds (nan|inf)"):
         load(path)
 
@@ -298,7 +288,7 @@ def test_what_compiled_code_reads_is_checked_first(agent_class, name, value, tmp
     def change(arrays, meta):
         arrays[name] = value if np.ndim(value) else np.full(arrays[name].shape, value)
 
-    changed(path, change)
+    rewritten(path, change)
     with pytest.raises(PolicyFileError, match="not a bnprl policy file"):
         load(path)
 
@@ -319,7 +309,7 @@ def test_what_compiled_code_reads_is_checked_first(agent_class, name, value, tmp
 def test_counters_that_are_none(name, value, tmp_path):
     path = tmp_path / "policy.npz"
     PredictiveActorCritic(*ONE, discount=0.9, seed=0).save(path)
-    changed(path, lambda arrays, meta: meta["counters"].update({name: value}))
+    rewritten(path, lambda arrays, meta: meta["counters"].update({name: value}))
     with pytest.raises(PolicyFileError, match="not a bnprl policy file"):
         load(path)
 
@@ -334,7 +324,7 @@ def test_infinite_ends_of_a_box_survive_saving(older, tmp_path):
     json.loads(description, parse_constant=pytest.fail)
     if older:  # written as JavaScript has them
         ends = {"low": low.tolist(), "high": np.full((2, 2), np.inf).tolist()}
-        changed(path, lambda arrays, meta: meta["observation_space"].update(ends))
+        rewritten(path, lambda arrays, meta: meta["observation_space"].update(ends))
     assert load(path).observation_space == space
 
 
@@ -371,7 +361,7 @@ def test_points_of_older_tables_are_corners_of_a_simplex(tmp_path):
         for name in ("points", "pending_points", "pending_next_points"):
             arrays[name] = np.eye(3)[arrays[name][:, 0].astype(int)]
 
-    kept, aged = agent.state_arrays(), load(changed(path, age)).state_arrays()
+    kept, aged = agent.state_arrays(), load(rewritten(path, age)).state_arrays()
     assert kept.keys() == aged.keys()
     for name, array in kept.items():
         np.testing.assert_array_equal(array, aged[name])

@@ -1,7 +1,5 @@
 """The shared interface: acting, recording, predicting, saving, training."""
 
-import json
-
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -27,7 +25,7 @@ from bnprl_agents.random_agent import RandomAgent
 from bnprl_agents.training import Progress, train
 from bnprl_envs.model import TabularModel
 from bnprl_envs.tabular_vector import TabularVectorEnv
-from tests.agents.cases import random_episodes
+from tests.agents.cases import random_episodes, rewritten
 
 SPACES = gym.spaces.Discrete(3), gym.spaces.Discrete(2)
 every_agent = pytest.mark.parametrize(
@@ -394,13 +392,7 @@ def test_files_that_hold_no_policy(tmp_path, content):
 def tampered(tmp_path, change):
     path = tmp_path / "policy.npz"
     online().save(path)
-    with np.load(path) as archive:
-        arrays = dict(archive)
-    meta = json.loads(arrays["meta"].tobytes())
-    change(arrays, meta)
-    arrays["meta"] = np.frombuffer(json.dumps(meta).encode(), dtype=np.uint8)
-    np.savez(path, **arrays)
-    return path
+    return rewritten(path, change)
 
 
 @pytest.mark.parametrize(
